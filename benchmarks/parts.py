@@ -14,7 +14,7 @@ import numpy as np
 from measuring import Column, Table
 
 
-def crowds(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
+def batches(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
     """One straggler in a batch, and a Monte Carlo bundle beside unrelated rays."""
     job = jobs.mountain_job(rays, cache, with_reference=False)
     return [_straggler(job, repeats), _bundle(job.terrain, min(10_000, rays), repeats)]

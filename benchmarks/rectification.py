@@ -41,8 +41,8 @@ import jaxgeo
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import file_map
 from jaxgeo.io.rectified import rectify_file
-from jaxgeo.register.cells import height_on
-from jaxgeo.register.rectify import rectify
+from jaxgeo.ortho.cells import height_on
+from jaxgeo.ortho.rectification import rectify
 from jaxgeo.terrain.grid import AbstractGrid
 
 jaxgeo.enable_x64()

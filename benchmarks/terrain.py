@@ -70,7 +70,7 @@ def main() -> None:
     tasks: dict[str, Callable[[], list[measuring.Table]]] = {
         "a": lambda: comparison.compare(o.peers.split(","), o.rays, o.repeats, o.cache),
         "b": lambda: growing.growth(sides, o.rays, o.largest, o.repeats, o.budget, o.cache),
-        "c": lambda: parts.crowds(o.rays, o.repeats, o.cache),
+        "c": lambda: parts.batches(o.rays, o.repeats, o.cache),
         "d": lambda: parts.searches(min(o.rays, 2000), o.repeats),
         "e": lambda: parts.device(o.device, o.precision, o.largest, o.repeats, o.budget, o.cache),
         "f": lambda: parts.stages(o.rays, o.repeats, o.cache),

@@ -64,7 +64,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import adjust, coverage, io, plot, register
+    from jaxgeo import adjust, coverage, io, ortho, plot, register
 
 __all__ = [
     "WGS84",
@@ -107,6 +107,7 @@ __all__ = [
     "io",
     "linear_error",
     "locate",
+    "ortho",
     "plot",
     "project",
     "propagate",
@@ -118,7 +119,14 @@ __all__ = [
 
 DEPRECATED = {"SweepCamera": "WhiskbroomCamera"}
 _renamed = renamed(__name__, DEPRECATED)
-_ON_DEMAND = ("adjust", "coverage", "io", "plot", "register")  # lazy: some import rasterio and pyproj, or matplotlib
+_ON_DEMAND = (
+    "adjust",
+    "coverage",
+    "io",
+    "ortho",
+    "plot",
+    "register",
+)  # lazy: rasterio, pyproj, matplotlib
 
 
 def __getattr__(name: str) -> Any:

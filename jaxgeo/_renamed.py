@@ -12,14 +12,13 @@ T = TypeVar("T")
 
 
 def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """A module `__getattr__` that maps the old `names` of a `package` to their new ones."""
+    """A module `__getattr__` that maps the old `names` of a `package` to their new ones: names of the package, or full
+    names of another (`jaxgeo.ortho.rectify`)."""
 
     def __getattr__(name: str) -> Any:
-        new = names.get(name)
-        if new is None:
+        if name not in names:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        warn_renamed(f"{package}.{name}", f"{package}.{new}")
-        return getattr(importlib.import_module(package), new)
+        return _found(f"{package}.{name}", full_name(package, names[name]))
 
     return __getattr__
 
@@ -43,3 +42,24 @@ def renamed_argument(old: str, new: str) -> Callable[[Callable[..., T]], Callabl
 def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
     """A `DeprecationWarning` of an old name, by default at the line that calls the caller."""
     warnings.warn(f"{old} is now {new}; the old name goes with version 0.3.", DeprecationWarning, stacklevel=stacklevel)
+
+
+def moved_method(old: str, new: str) -> Callable[..., Any]:
+    """A method `old` that is now the function `new` (full names); it takes the object first."""
+
+    def method(self: Any, *given: Any, **options: Any) -> Any:
+        return _found(old, new)(self, *given, **options)
+
+    return method
+
+
+def _found(old: str, new: str) -> Any:
+    """The object of the full name `new`, with a warning that it was `old` at the line of the caller's caller."""
+    warn_renamed(old, new, stacklevel=4)
+    module, _, name = new.rpartition(".")
+    return getattr(importlib.import_module(module), name)
+
+
+def full_name(package: str, new: str) -> str:
+    """The full name of an entry of `DEPRECATED`."""
+    return new if "." in new else f"{package}.{new}"

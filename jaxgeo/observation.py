@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Collection
-from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload, runtime_checkable
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeAlias, TypeVar, overload, runtime_checkable
 
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, ScalarField
@@ -14,6 +14,7 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
+Parameters: TypeAlias = Mapping[str, inspect.Parameter]
 
 
 class Exposure(Record):
@@ -87,20 +88,42 @@ def accepts_observation(function: Callable[Concatenate[Sensor, Any, Any, P], R])
 
 def _accepting(function: Callable[..., Any], kind: type[Exposure | Observation], otherwise: str) -> Any:
     """The function with a value of a kind in place of its first arguments; `otherwise` is said of the other kind."""
-    names = inspect.signature(function).parameters
+    parameters = inspect.signature(function).parameters
+    replaced = 3 if kind is Observation else 2  # sensor, shot, and pixel
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if not args or not isinstance(args[0], Exposure | Observation):
-            return function(*args, **kwargs)
-        given, *rest = args
-        if not isinstance(given, kind):
-            raise TypeError(f"{function.__name__} {otherwise}.")
-        exposure, uv = (given.exposure, [given.uv]) if isinstance(given, Observation) else (given, [])
-        named = _moment(function.__name__, names, exposure, kwargs)
-        return function(exposure.sensor, exposure.motion, *uv, *rest, **named)
+        if args and isinstance(args[0], Exposure | Observation):
+            given, *rest = args
+            if not isinstance(given, kind):
+                raise TypeError(f"{function.__name__} {otherwise}.")
+            exposure, uv = (given.exposure, [given.uv]) if isinstance(given, Observation) else (given, [])
+            kwargs = _moment(function.__name__, parameters, exposure, kwargs)
+            args = exposure.sensor, exposure.motion, *uv, *rest
+        missing = _missing(parameters, len(args), kwargs)
+        if missing:
+            raise TypeError(_forms(function.__name__, parameters, kind.__name__.lower(), replaced, missing))
+        return function(*args, **kwargs)
 
     return call
+
+
+def _missing(parameters: Parameters, given: int, kwargs: Collection[str]) -> list[str]:
+    """Names of required parameters that neither the first `given` arguments nor `kwargs` fill."""
+    return [
+        name
+        for k, (name, one) in enumerate(parameters.items())
+        if one.default is one.empty and name not in kwargs and (one.kind is one.KEYWORD_ONLY or k >= given)
+    ]
+
+
+def _forms(function: str, parameters: Parameters, kind: str, replaced: int, missing: list[str]) -> str:
+    """Error message for missing arguments, with both ways to call the function."""
+    required = [
+        f"{n}=..." if one.kind is one.KEYWORD_ONLY else n for n, one in parameters.items() if one.default is one.empty
+    ]
+    forms = (", ".join(required), ", ".join([kind, *required[replaced:]]))
+    return f"{function} needs {', '.join(missing)}: call {' or '.join(f'{function}({form})' for form in forms)}."
 
 
 def _moment(function: str, names: Collection[str], exposure: Exposure, kwargs: dict[str, Any]) -> dict[str, Any]:

@@ -30,9 +30,9 @@ from jaxgeo.io import MapRaster, example_dem, read_orthoimage, write_orthoimage
 from jaxgeo.io.map_raster import checked_crs
 from jaxgeo.io.rectified import RectifiedFile
 from jaxgeo.io.scene import read_scene
+from jaxgeo.ortho.rendering import render
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.plan import SIDES
-from jaxgeo.register.render import render
 from jaxgeo.status import Status
 from jaxgeo.uncertainty.sources import TerrainHeight
 

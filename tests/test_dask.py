@@ -72,7 +72,7 @@ def test_workers_that_have_computed_in_32_bits_are_told_what_to_do(client: Any, 
     told = set(client.run(refusal_of, pickle.dumps(place)).values())
     assert len(told) == 1
     assert FOR_DASK in told.pop()
-    page = (project_root / "docs" / "howto" / "crowds.md").read_text(encoding="utf-8")
+    page = (project_root / "docs" / "howto" / "batches.md").read_text(encoding="utf-8")
     assert FOR_DASK in page
     eval(FOR_DASK, {"client": client, "jaxgeo": jaxgeo})
     assert client.submit(digits, place, pure=False).result(timeout=120) == digits(place)

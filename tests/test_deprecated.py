@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from jaxgeo._renamed import full_name
+
 PACKAGES = ("jaxgeo", *(f"jaxgeo.{name}" for name in ("adjust", "coverage", "register", "sensor", "uncertainty")))
 CASES = [
     (package, old, new) for package in PACKAGES for old, new in importlib.import_module(package).DEPRECATED.items()
@@ -17,10 +19,12 @@ CASES = [
 @pytest.mark.parametrize("package, old, new", CASES)
 def test_an_old_name_warns_and_is_the_new_one(package: str, old: str, new: str) -> None:
     module = importlib.import_module(package)
-    with pytest.warns(DeprecationWarning, match=rf"{package}\.{old} is now {package}\.{new}; .* version 0\.3"):
+    full = full_name(package, new)
+    with pytest.warns(DeprecationWarning, match=rf"{package}\.{old} is now {full}; .* version 0\.3"):
         found = getattr(module, old)
-    assert found is getattr(module, new)
-    assert new in module.__all__
+    home, _, name = full.rpartition(".")
+    assert found is getattr(importlib.import_module(home), name)
+    assert name in importlib.import_module(home).__all__
     assert old not in module.__all__
 
 
@@ -57,3 +61,20 @@ def test_shifts_seen_is_visible() -> None:
     shifts = Shifts(*range(8))
     with pytest.warns(DeprecationWarning, match="Shifts.visible"):
         assert shifts.seen == shifts.visible == 5
+
+
+def test_a_method_that_is_now_a_function_warns_and_calls_it() -> None:
+    import numpy as np
+
+    import jaxgeo
+    from jaxgeo.sensor import point_shot
+
+    camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
+    pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=3000.0)
+    target = jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.001, height=600.0)
+    with pytest.warns(DeprecationWarning, match=r"jaxgeo\.Sensor\.looking_at is now jaxgeo\.sensor\.point_shot"):
+        old = sensor.looking_at(pose, target, time=3.0)
+    new = point_shot(sensor, pose, target, time=3.0)
+    np.testing.assert_array_equal(old.gimbal_readings, new.gimbal_readings)
+    assert float(old.time) == 3.0

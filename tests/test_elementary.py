@@ -1,4 +1,4 @@
-"""Elementary functions, alone and of crowds: to the last digit of NumPy's, with derivatives."""
+"""Elementary functions, alone and in batches: to the last digit of NumPy's, with derivatives."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_sine_and_cosine_to_the_last_digit_with_derivatives():
 
 
 @pytest.mark.parametrize("strange", [0.0, 3e7, np.nan, -np.inf])
-def test_sine_and_cosine_of_a_crowd_among_whom_one_is_strange(strange):
+def test_sine_and_cosine_of_a_batch_with_one_odd_argument(strange):
     angle = np.append(np.random.default_rng(0).uniform(-9.0, 9.0, 2047), strange)
     with np.errstate(invalid="ignore"):
         expected = np.sin(angle), np.cos(angle)
@@ -75,7 +75,7 @@ def test_arctangent_of_directions_near_each_other_and_apart(middle, width):
 
 
 @pytest.mark.parametrize("strange", [(0.0, 0.0), (-0.0, -1.0), (np.nan, 1.0), (np.inf, 1.0)])
-def test_arctangent_of_a_crowd_among_whom_one_is_strange(strange):
+def test_arctangent_of_a_batch_with_one_odd_argument(strange):
     y, x = jnp.asarray(np.append(np.ones((1023, 2)), [strange], axis=0)).T
     np.testing.assert_array_equal(jax.jit(jax.vmap(arctangent))(y, x), np.arctan2(y, x))
     np.testing.assert_array_equal(jax.vmap(arctangent, (0, None))(y, jnp.asarray(2.0)), np.arctan2(y, 2.0))

@@ -27,6 +27,7 @@ from jaxgeo import (
 )
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.rotations import R_from_rotation_vector
+from jaxgeo.sensor import point_shot
 
 COUNT = 16
 ROUNDING = 5e-9  # m, of a point in ECEF and back: its last bit is 1e-9 m, so a camera near by sees it as pixels
@@ -122,7 +123,7 @@ def over_terrain():
     sensor = a_sensor(gimbal, rng)
     pose = Pose.from_degrees(lat=47.0, lon=10.993, height=800.0, heading=5.0, pitch=1.0, roll=-2.0)
     dem = small_dem(rough(2))
-    return sensor, sensor.looking_at(pose, Geodetic.from_degrees(lat=47.0, lon=11.0, height=130.0)), dem
+    return sensor, point_shot(sensor, pose, Geodetic.from_degrees(lat=47.0, lon=11.0, height=130.0)), dem
 
 
 locate_over = jax.jit(jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, None)))

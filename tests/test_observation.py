@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import importlib
+import inspect
+import pathlib
 import pickle
 
 import jax
@@ -157,3 +161,45 @@ def test_mistakes(name: str) -> None:
 def test_a_shot_with_a_time_is_refused() -> None:
     with pytest.raises(ValueError, match="time goes with a Trajectory"):
         jaxgeo.locate(Observation(Exposure(SENSOR, SHOT, 3.0), UV), GROUND)
+
+
+def decorated() -> list[tuple[str, str, str]]:
+    """(module, function, decorator) of every function that takes an exposure or an observation."""
+    root = pathlib.Path(jaxgeo.__file__).parent
+    found = []
+    for path in root.rglob("*.py"):
+        module = ".".join(("jaxgeo", *path.relative_to(root).with_suffix("").parts))
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef):
+                names = {one.id for one in node.decorator_list if isinstance(one, ast.Name)}
+                found += [(module, node.name, name) for name in names & {"accepts_exposure", "accepts_observation"}]
+    return sorted(found)
+
+
+@pytest.mark.parametrize("module, name, decorator", decorated())
+def test_a_forgotten_argument_is_named_with_both_forms(module: str, name: str, decorator: str) -> None:
+    function = getattr(importlib.import_module(module), name)
+    of_observation = decorator == "accepts_observation"
+    start = ["sensor", "shot", "uv"] if of_observation else ["sensor", "shot"]
+    parameters = inspect.signature(function).parameters.values()
+    rest = [one.name for one in parameters if one.default is one.empty][len(start) :]
+    with pytest.raises(TypeError) as classic:
+        function()
+    assert str(classic.value).startswith(f"{name} needs {', '.join([*start, *rest])}: call {name}(sensor, shot")
+    exposure = EXPOSURES["shot"][0]
+    given, kind = (Observation(exposure, UV), "observation") if of_observation else (exposure, "exposure")
+    if rest:
+        with pytest.raises(TypeError) as short:
+            function(given)
+        assert str(short.value).startswith(f"{name} needs {', '.join(rest)}: call ")
+        assert f" or {name}({kind}, {rest[0]}" in str(short.value)
+
+
+def test_arguments_given_by_name_are_not_missing() -> None:
+    same(jaxgeo.locate(SENSOR, shot=SHOT, uv=UV, terrain=GROUND), jaxgeo.locate(SENSOR, SHOT, UV, GROUND))
+    with pytest.raises(TypeError, match=r"^locate needs uv, terrain: call locate\(sensor, shot, uv, terrain\) or "):
+        jaxgeo.locate(SENSOR, SHOT)
+    with pytest.raises(
+        TypeError, match=r"^sample needs key: call .* or sample\(observation, terrain, errors, key=\.\.\."
+    ):
+        jaxgeo.sample(Observation(EXPOSURES["shot"][0], UV), GROUND, ERRORS)

@@ -25,7 +25,7 @@ import jaxgeo
 from jaxgeo._record import Record
 from jaxgeo.demo import scene_file
 from jaxgeo.io import DemError, DemFiles, MapRaster, OrthoWriter, open_dem, read_acquisition, read_acquisitions
-from jaxgeo.register import Rectifier
+from jaxgeo.ortho import Rectifier
 from tests.support import looks
 from tests.support.drone_image_files import packet, write_image
 from tests.support.records import leaves_of

@@ -243,7 +243,7 @@ FOR_JOBLIB = "joblib.Parallel(n_jobs=2, initializer=jaxgeo.enable_x64)"
 
 
 def test_joblib_runs_as_its_page_says(nobody_says: None, project_root: pathlib.Path) -> None:
-    assert FOR_JOBLIB in (project_root / "docs" / "howto" / "crowds.md").read_text(encoding="utf-8")
+    assert FOR_JOBLIB in (project_root / "docs" / "howto" / "batches.md").read_text(encoding="utf-8")
     parallel = eval(FOR_JOBLIB, {"joblib": joblib, "jaxgeo": jaxgeo})
     place = looks.pose().position
     assert parallel([joblib.delayed(digits)(place)] * 2) == [digits(place)] * 2

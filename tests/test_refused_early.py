@@ -112,7 +112,7 @@ COMMANDS = (
     (f"{PLAN} --overlap 0.1 -o nowhere/a.csv", "there is no folder nowhere"),
     (f"{PLAN} --overlap 0.1 -o locked/a.csv", "it may not be written"),
     (f"{PLAN} --overlap 0.1 --start 5 -o a.csv", "start must lie on the trajectory"),
-    (f"{PLAN} --timing fixed:100 -o a.csv", "fewer than two images have no overlap"),
+    (f"{PLAN} --timing fixed:100 -o a.csv", "the navigation is too short"),
     (f"{PLAN} --timing fixed:0.000001 -o a.csv", "more than 10000 exposures in 20 s; give 0.002 s or more"),
     (f"{RECTIFY} -o a.png", "name a file that ends in .tif"),
     (f"{RECTIFY} -o nowhere/a.tif", "there is no folder nowhere"),

@@ -213,9 +213,9 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
     subject = ReportData.of(sensor, shot, (320.0, 5.0), ConstantHeight(0.0))
     (detail,) = details_of(subject)
     assert (detail.comparison, detail.budget) == (None, None)
-    assert detail.to_dict()["because"] == "The ray rises above the terrain's highest ground without meeting it."
+    assert detail.to_dict()["because"] == "The ray rises above the highest ground without meeting the terrain."
     made = datetime.datetime(2020, 2, 3, 4, 5, tzinfo=datetime.UTC)
-    write_report(tmp_path / "sky.html", subject, told=ReportHeader("The sky", made=made), details=[detail])
+    write_report(tmp_path / "sky.html", subject, header=ReportHeader("The sky", made=made), details=[detail])
     text = seen((tmp_path / "sky.html").read_text(encoding="utf-8"))
     assert "No fix" in text
     assert "rises away" in text

@@ -61,7 +61,7 @@ def subject() -> ReportData:
 @pytest.fixture(scope="module")
 def page_file(subject: ReportData, tmp_path_factory) -> pathlib.Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_report(path, subject, told=ReportHeader("A <b>report</b>", assumed=["Something was assumed."]))
+    write_report(path, subject, header=ReportHeader("A <b>report</b>", assumed=["Something was assumed."]))
     return path
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, coverage, register
+from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, coverage, ortho, register
 from jaxgeo import uncertainty as un
 from jaxgeo.adjust import Adjustment, Block, ImagePoints, LocalFrame, Reliability, adjust, reliability
 from jaxgeo.coverage import Footprint, Overlap, geometry
@@ -16,8 +16,9 @@ from jaxgeo.demo.scene import Demo, make_demo, scene_file
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
+from jaxgeo.ortho import Orthoimage
 from jaxgeo.plot import Section, section_under
-from jaxgeo.register import Orthoimage, Registration
+from jaxgeo.register import Registration
 from jaxgeo.register.places import BlockPlaces, places_of_blocks
 from jaxgeo.sensor.conventions import li_2020_sensor
 from jaxgeo.studies.gu2017 import scene as mapped
@@ -124,7 +125,7 @@ def registered() -> Registered:
     reference = Orthoimage.of(values, rough.grid)
     sensor = Sensor(FrameCamera.from_pixels(focal_px=560.0, width=320, height=240), Gimbal.fixed(), Mount.nadir())
     true = mapped.looking_at(target, off_nadir=35.0, azimuth=20.0, above=3000.0)
-    image = mapped.spoilt(register.render(sensor, true, reference, ground).values, seed=0, noise=0.4)
+    image = mapped.spoilt(ortho.render(sensor, true, reference, ground).values, seed=0, noise=0.4)
     noise = scipy.ndimage.gaussian_filter(np.random.default_rng(3).normal(size=ground.posts.shape), 0.7)
     terrain = ground.with_posts(np.asarray(ground.posts) + SIGMA_TERRAIN * noise / np.std(noise))
     given = mapped.moved(true, np.array([30.0, -25.0, 20.0]), np.deg2rad([0.3, -0.3, 0.3]))
@@ -134,9 +135,9 @@ def registered() -> Registered:
     errors = un.ErrorModel((position, attitude))
     ties = register.TieErrors(registration=0.5, terrain=SIGMA_TERRAIN)
     grid = reference.grid, reference.shape
-    before = register.rectify(sensor, given, image, terrain, *grid).orthoimage
+    before = ortho.rectify(sensor, given, image, terrain, *grid).orthoimage
     found = register.register_image(sensor, given, image, reference, terrain, errors, ties, block=32)
-    after = register.rectify(found.sensor, found.shot, image, terrain, *grid).orthoimage
+    after = ortho.rectify(found.sensor, found.shot, image, terrain, *grid).orthoimage
     rest = sources.TerrainHeight.from_metres(SIGMA_TERRAIN, sharing=un.PerMeasurement())
     uv = np.array([160.0, 120.0])
     direct = un.propagate(sensor, given, uv, terrain, un.ErrorModel((*errors.sources, rest)))

@@ -28,7 +28,11 @@ REPORTED = "reported"
 SHARE = re.compile(r"( \(\d+ of \d+ exposures[^)]*\))?$")  # end of a sentence that does not apply to all
 OPTION_OF = {Position: "position", Attitude: "attitude", GimbalAngles: "gimbal"}
 # Phrases in the readers' sentences about error sources, and the options that replace these sources.
-REPLACED = {"Focal lengths err by": "focal", "Principal points err by": "principal", "these err by": "position"}
+REPLACED = {
+    "Focal length sigma:": "focal",
+    "Principal point sigma:": "principal",
+    "position sigma there:": "position",
+}
 # Phrase for lenses without a distortion model; replaced if --focal-sigma is given.
 BENT = "what it bends at the corners counts as an error of the focal length"
 

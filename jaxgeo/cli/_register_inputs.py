@@ -273,7 +273,7 @@ def picture_of(
 
 
 def _rectified(sensor: Any, shot: Any, terrain: Any, air: Any, image: Any, shown: Any) -> Any:
-    from jaxgeo.register import rectify
+    from jaxgeo.ortho import rectify
 
     grey, known = image
     done = rectify(sensor, shot, grey, terrain, shown.grid, shown.shape, known=known, atmosphere=air, tile=TILE)

@@ -184,7 +184,7 @@ def _crs_name(raster: Any) -> str:
 
 
 def _interpolations() -> dict[Interpolation, Any]:
-    from jaxgeo.register import Bilinear, Cubic, Nearest
+    from jaxgeo.ortho import Bilinear, Cubic, Nearest
 
     return {
         Interpolation.nearest: Nearest(),

@@ -102,7 +102,7 @@ def _report(
     assumed = [*inputs.assumed, *(f"Not read: {reason}" for reason in reasons or () if reason is not None)]
     header = ReportHeader(page.title or _title(options), _inputs(options), assumed)
     with working("drawing"):
-        stream.write(report_html(subject, told=header, details=details))
+        stream.write(report_html(subject, header=header, details=details))
     rows = observed.table(fixes, accuracy, reasons=reasons)
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:

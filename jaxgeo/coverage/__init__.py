@@ -10,7 +10,7 @@ from jaxgeo.coverage.overlap import Overlap, flight_direction, overlap
 from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point_gimbal
 from jaxgeo.coverage.polygons import VisibleGround, polygon_overlap, visible_ground
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan
-from jaxgeo.sensor.aiming import LineOfSight
+from jaxgeo.sensor.line_of_sight import LineOfSight
 from jaxgeo.sensor.root_finder import FixedNewton
 
 __all__ = [

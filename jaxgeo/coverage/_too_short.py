@@ -27,8 +27,8 @@ SIDES = {"columns": ((0, 2), (1, 3)), "rows": ((0, 1), (2, 3))}
 def too_few(last: float, first: float) -> ValueError:
     """Error for a flight with room for one image only."""
     return ValueError(
-        f"the last whole image is at {last:.9g} s, before a second image is due after that at {first:.9g} s: fewer "
-        "than two images have no overlap. Fly on, or wish for more overlap."
+        f"the navigation is too short: the second exposure after that at {first:.9g} s is due later than {last:.9g} s, "
+        "the time of the last whole image. Give longer navigation, or request more overlap."
     )
 
 

@@ -31,7 +31,8 @@ from jaxgeo.coverage.overlap import (
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned, TransverseMercator
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Pose, Sensor, Shot
-from jaxgeo.sensor.aiming import LineOfSight, aim
+from jaxgeo.sensor.aiming import aim
+from jaxgeo.sensor.line_of_sight import LineOfSight
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 

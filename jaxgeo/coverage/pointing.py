@@ -19,9 +19,10 @@ from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT, visibility
 from jaxgeo.observation import accepts_exposure
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
-from jaxgeo.sensor.aiming import Aimed, LineOfSight, Target, aim, aim_along
+from jaxgeo.sensor.aiming import Aimed, aim, aim_along
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import ReadingsField
+from jaxgeo.sensor.line_of_sight import LineOfSight, Target
 from jaxgeo.sensor.pointing import check_axes, for_each_knot
 from jaxgeo.sensor.root_finder import check_solver
 from jaxgeo.status import Status, first_failure

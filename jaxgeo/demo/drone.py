@@ -82,12 +82,12 @@ def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
     rng = np.random.default_rng(seed)
     north, east, down = POSITION
     angles: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) for name in sensor.gimbal.names}
-    look = ModelInputs(Exposure(sensor, shot, 0.0))
+    inputs = ModelInputs(Exposure(sensor, shot, 0.0))
     for source in (Position.from_ned(north=north, east=east, down=down), GimbalAngles.from_degrees(**angles)):
         error: Any = np.asarray(source.sigma) * rng.standard_normal(len(source.axes))
-        look = eqx.filter_jit(source.moved)(look, error)
-    assert isinstance(look.motion, Shot)
-    return look.motion
+        inputs = eqx.filter_jit(source.moved)(inputs, error)
+    assert isinstance(inputs.motion, Shot)
+    return inputs.motion
 
 
 def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> None:
@@ -104,7 +104,7 @@ def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> Non
     tags.get_ifd(EXIF).update({0xA002: camera.width, 0xA003: camera.height})
     place = {1: "N" if lat >= 0.0 else "S", 2: _degrees(lat), 3: "E" if lon >= 0.0 else "W", 4: _degrees(lon)}
     tags.get_ifd(GPS).update(place | {5: 0, 6: IFDRational(round(1000 * sea), 1000)})
-    told = {
+    properties = {
         "GpsLatitude": f"{lat:+.9f}",
         "GpsLongitude": f"{lon:+.9f}",
         "AbsoluteAltitude": f"{sea:+.3f}",
@@ -114,7 +114,7 @@ def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> Non
         "CalibratedOpticalCenterY": f"{camera.height / 2:.6f}",
     }
     pixels = np.round(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
-    Image.fromarray(pixels).save(path, "JPEG", quality=88, exif=tags, xmp=_packet(told | _angles(shot)))
+    Image.fromarray(pixels).save(path, "JPEG", quality=88, exif=tags, xmp=_packet(properties | _angles(shot)))
 
 
 def _degrees(angle: float) -> tuple[Any, ...]:
@@ -138,10 +138,10 @@ def _angles(shot: Shot) -> dict[str, str]:
 
 
 def _packet(values: dict[str, str]) -> bytes:
-    told = " ".join(f'drone-dji:{name}="{value}"' for name, value in values.items())
+    properties = " ".join(f'drone-dji:{name}="{value}"' for name, value in values.items())
     return (
         f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="{RDF}"><rdf:Description rdf:about="" '
-        f'xmlns:drone-dji="{DJI}" {told}/></rdf:RDF></x:xmpmeta>'
+        f'xmlns:drone-dji="{DJI}" {properties}/></rdf:RDF></x:xmpmeta>'
     ).encode()
 
 

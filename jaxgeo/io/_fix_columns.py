@@ -58,21 +58,21 @@ def figures_of(
             raise ValueError(f"{name}: bias_enu is the mean of errors whose cov_enu must be given too.")
         return None
     count = len(np.asarray(fixes.status))
-    told = _unknown(count, USUAL if probability is None else probability)
+    columns = _unknown(count, USUAL if probability is None else probability)
     if isinstance(accuracy, AccuracyMap):
         accuracy = accuracy.accuracy
     if isinstance(accuracy, Accuracy) and accuracy.shape:
-        told = _of_batch(name, fixes, accuracy, probability)
+        columns = _of_batch(name, fixes, accuracy, probability)
     elif accuracy is not None:
-        told = _of_each(name, fixes, accuracy, probability)
-    level = float(check_probability(told.probability))
+        columns = _of_each(name, fixes, accuracy, probability)
+    level = float(check_probability(columns.probability))
     if cov_enu is not None:
         cov = _shaped(name, cov_enu, "cov_enu", (count, 3, 3))
         bias = np.zeros((count, 3)) if bias_enu is None else _shaped(name, bias_enu, "bias_enu", (count, 3))
-        told = told._replace(cov_enu=cov, bias_enu=np.where(np.isnan(cov[:, :, 0]), np.nan, bias))
+        columns = columns._replace(cov_enu=cov, bias_enu=np.where(np.isnan(cov[:, :, 0]), np.nan, bias))
     elif bias_enu is not None:
         raise ValueError(f"{name}: bias_enu is the mean of errors whose cov_enu must be given too.")
-    return _with_ellipses(name, told._replace(probability=level), radii_too=accuracy is None)
+    return _with_ellipses(name, columns._replace(probability=level), radii_too=accuracy is None)
 
 
 def rows_of(fixes: Fix, figures: Figures | None, reasons: Sequence[str | None] | None = None) -> list[dict[str, Any]]:
@@ -149,7 +149,7 @@ def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) ->
     if not isinstance(each, list | tuple) or len(each) != count:
         length = len(each) if isinstance(each, list | tuple) else type(each).__name__
         raise ValueError(f"{name}: accuracy must be a list with one, or None, for each of {count} fixes; got {length}.")
-    told, asked = _unknown(count, USUAL if probability is None else probability), probability
+    columns, asked = _unknown(count, USUAL if probability is None else probability), probability
     method: list[str | None] = [None] * count
     because: list[str | None] = [None] * count
     far = np.full(count, np.nan)
@@ -159,17 +159,17 @@ def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) ->
         check_is(one, Accuracy, f"accuracy[{i}]")
         asked = _check_probability(name, one.level(), asked)
         far[i] = np.linalg.norm(np.asarray(one.fix.ecef) - np.asarray(fixes.ecef)[i])
-        told.circular[i], told.linear[i], told.spherical[i] = one.circular, one.linear, one.spherical
-        told.cov_enu[i], told.bias_enu[i] = np.asarray(one.cov_enu), np.asarray(one.bias_enu)
+        columns.circular[i], columns.linear[i], columns.spherical[i] = one.circular, one.linear, one.spherical
+        columns.cov_enu[i], columns.bias_enu[i] = np.asarray(one.cov_enu), np.asarray(one.bias_enu)
         method[i], because[i] = one.words, one.because
     _check_same(name, far)
-    return told._replace(probability=USUAL if asked is None else asked, method=method, because=because)
+    return columns._replace(probability=USUAL if asked is None else asked, method=method, because=because)
 
 
 def _check_probability(name: str, own: float, asked: float | None) -> float:
     if asked is not None and abs(own - asked) > 1e-12:
         raise ValueError(
-            f"{name}: accuracy is told with a probability of {own:g}, but {asked:g} is asked for; leave probability "
+            f"{name}: accuracy has a probability of {own:g}, but {asked:g} is asked for; leave probability "
             f"out, or compute the accuracy with it."
         )
     return own

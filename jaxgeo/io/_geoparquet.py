@@ -39,12 +39,12 @@ def geoparquet(
     arrays = {name: pa.array([utf8_text(value) for value in values]) for name, values in columns.items()}
     for name, (shapes, _) in geometries.items():
         arrays[name] = pa.array([_wkb(shape) for shape in shapes], pa.binary())
-    told = {
+    geo = {
         "version": VERSION,
         "primary_column": next(iter(geometries)),
         "columns": {name: _described(column) for name, column in geometries.items()},
     }
-    texts = {"geo": json.dumps(told), "jaxgeo": json.dumps(metadata, ensure_ascii=False)}
+    texts = {"geo": json.dumps(geo), "jaxgeo": json.dumps(metadata, ensure_ascii=False)}
     sink = io.BytesIO()
     parquet.write_table(pa.table(arrays).replace_schema_metadata(texts), sink, compression="snappy")
     return sink.getvalue()

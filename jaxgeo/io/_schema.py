@@ -226,7 +226,7 @@ class ErrorsTable(_Table):
     @model_validator(mode="after")
     def _something(self) -> ErrorsTable:
         if self.terrain_correlation_m is not None and self.terrain_m is None:
-            raise ValueError("terrain_correlation_m (m) goes with terrain_m (m), by how much the heights err")
+            raise ValueError("terrain_correlation_m (m) goes with terrain_m (m), the sigma of the heights")
         if all(value is None for value in self.model_dump().values()):
             raise ValueError(f"an empty table says nothing; known here: {', '.join(type(self).model_fields)}")
         return self

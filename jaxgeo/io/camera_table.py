@@ -73,7 +73,7 @@ class CameraModel(BaseModel):
         """Pixel size in um of an image, for a resized copy that of its larger pixels; None for an unknown mode.
 
         Copies are assumed to cover the whole detector and are matched by its aspect ratio: a cropped mode cannot be
-        told from another crop.
+        distinguished from another crop.
         """
         exact = next((pitch for w, h, pitch in self.modes if (w, h) == (width, height)), None)
         if exact is not None:

@@ -37,14 +37,14 @@ def accuracy_map_dataset(found: AccuracyMap, raster: MapRaster | None = None) ->
     percent = f"with a probability of {found.probability:g}"
     codes = [(NO_FIX, "no_fix"), *((int(one), one.name) for one in Method)]
     data: dict[str, tuple[np.ndarray, dict[str, Any]]] = {
-        "circular_error": (np.asarray(found.circular), _told(f"horizontal radius that holds the truth {percent}", "m")),
-        "linear_error": (np.asarray(found.linear), _told(f"height that holds the truth {percent}", "m")),
-        "spherical_error": (np.asarray(found.spherical), _told(f"radius that holds the truth {percent}", "m")),
-        "failed": (np.asarray(found.failed), _told("share of the samples without a fix", "1")),
+        "circular_error": (np.asarray(found.circular), _attrs(f"horizontal radius that holds the truth {percent}", "m")),
+        "linear_error": (np.asarray(found.linear), _attrs(f"height that holds the truth {percent}", "m")),
+        "spherical_error": (np.asarray(found.spherical), _attrs(f"radius that holds the truth {percent}", "m")),
+        "failed": (np.asarray(found.failed), _attrs("share of the samples without a fix", "1")),
         "trust": (np.asarray(found.method, np.int8), _flags("method that the figures are from", codes)),
         "status": (np.asarray(found.status, np.int8), _statuses()),
-        "u": (u, _told("column of the pixel that sees the place", "pixel")),
-        "v": (v, _told("row of the pixel that sees the place", "pixel")),
+        "u": (u, _attrs("column of the pixel that sees the place", "pixel")),
+        "v": (v, _attrs("row of the pixel that sees the place", "pixel")),
     }
     variables = {name: (dims, values, attributes | mapping) for name, (values, attributes) in data.items()}
     places = {"latitude": (dims, lat, _latitude()), "longitude": (dims, lon, _longitude())}
@@ -66,11 +66,11 @@ def samples_dataset(sampled: Sampled) -> xarray.Dataset:
     xr = _xarray()
     lat, lon, height = (float(x) for x in sampled.fix.position.to_degrees())
     variables = {
-        "error": (("sample", "axis"), sampled.errors_enu, _told("error of the fix about its centre", "m")),
+        "error": (("sample", "axis"), sampled.errors_enu, _attrs("error of the fix about its centre", "m")),
         "status": ("sample", np.asarray(sampled.codes, np.int8), _statuses()),
-        "mean": ("axis", sampled.mean_enu, _told("mean of the samples with a fix, from the fix", "m")),
-        "covariance": (("axis", "other_axis"), sampled.cov_enu, _told("covariance of the samples with a fix", "m2")),
-        "centre": ("axis", sampled.centre_enu, _told("what errors are counted from, from the fix", "m")),
+        "mean": ("axis", sampled.mean_enu, _attrs("mean of the samples with a fix, from the fix", "m")),
+        "covariance": (("axis", "other_axis"), sampled.cov_enu, _attrs("covariance of the samples with a fix", "m2")),
+        "centre": ("axis", sampled.centre_enu, _attrs("what errors are counted from, from the fix", "m")),
     }
     coords = {"axis": AXES, "other_axis": AXES, "sample": np.arange(sampled.count, dtype=np.int32)}
     coords |= {
@@ -119,7 +119,7 @@ def _units(raster: MapRaster) -> tuple[str, str]:
     return unit, unit
 
 
-def _told(words: str, units: str) -> dict[str, Any]:
+def _attrs(words: str, units: str) -> dict[str, Any]:
     return {"long_name": words, "units": units}
 
 

@@ -94,8 +94,8 @@ def write_fixes(
     with destination("fixes", target, binary=True) as stream:
         chart = _chart(target, crs, heights, fixes.position)
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
-        told = _told(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=ellipses)
-        stream.write(write(told))
+        table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=ellipses)
+        stream.write(write(table))
 
 
 def check_fix_file(
@@ -120,9 +120,9 @@ def check_fix_file(
     position, status = Geodetic(lat=nothing, lon=nothing, height=nothing), np.full(count, Status.file_not_read, np.int8)
     fixes = Fix(position, np.full((count, 3), np.nan), nothing, nothing, nothing, nothing, status)
     figures = None if probability is None else no_figures(count, probability)
-    told = _told(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
+    table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
     one = slice(None) if write in KML_WRITERS else slice(1)  # any row may have text that KML cannot hold
-    write(told._replace(rows=told.rows[one], places=told.places[one], outlines=told.outlines[one]))
+    write(table._replace(rows=table.rows[one], places=table.places[one], outlines=table.outlines[one]))
 
 
 def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic) -> MapCRS:
@@ -131,7 +131,7 @@ def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic) -> MapC
     return chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
 
-def _told(
+def _table_of(
     target: pathlib.Path,
     chart: MapCRS,
     fixes: Fix,
@@ -227,13 +227,13 @@ def _metadata(chart: MapCRS, figures: Figures | None) -> Mapping[str, Any]:
         software = f"jaxgeo {importlib.metadata.version('jaxgeo')}"
     except importlib.metadata.PackageNotFoundError:
         software = "jaxgeo"
-    told: dict[str, Any] = {"software": software, **described(chart)}
+    facts: dict[str, Any] = {"software": software, **described(chart)}
     if figures is not None:
-        told["probability"] = figures.probability
-        told["figures"] = "radii, and outlines, hold the truth with the probability; bias and cov are of one sigma"
-    told["fix_columns"] = (
+        facts["probability"] = figures.probability
+        facts["figures"] = "radii, and outlines, hold the truth with the probability; bias and cov are of one sigma"
+    facts["fix_columns"] = (
         "fix_lat_deg, fix_lon_deg on WGS 84, fix_height_m above its ellipsoid, fix_height_msl_m: EGM96"
     )
-    told["units"] = UNITS
-    told["statuses"] = {one.name: one.message for one in Status}
-    return told
+    facts["units"] = UNITS
+    facts["statuses"] = {one.name: one.message for one in Status}
+    return facts

@@ -18,8 +18,8 @@ FORMS = (
     "or its table [camera] alone)"
 )
 UNITS = {"focal": ("mm", "px"), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
-AS_GIVEN = "The camera is taken as it is given, without error: interior orientation errs only if that is said too."
-AS_READ = "Cameras are taken as the file has them, without error: interior orientation errs only if that is said too."
+AS_GIVEN = "The camera is taken as given, without error unless sigmas of its interior orientation are given too."
+AS_READ = "Cameras are taken from the file, without error unless sigmas of the interior orientation are given too."
 CLOSE = 0.005  # relative tolerance between the scales of columns and rows of resized images
 _VALUE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*", re.ASCII)
 

@@ -82,7 +82,7 @@ def fit(name: str, mapping: FileMap) -> tuple[FittedGrid, MapError]:
         if measured.worst < FITTED and measured.cells < FITTED:
             return grid, measured
         smallest = max(smallest, measured.worst)
-    reason = f"the best fit errs by {smallest:.3g} m" if np.isfinite(smallest) else "PROJ does not map all of it"
+    reason = f"the best fit is off by {smallest:.3g} m" if np.isfinite(smallest) else "PROJ does not map all of it"
     raise DemError(
         f"{name}: the map {mapping.crs.name!r} could not be followed to 1 mm over this area: {reason}. "
         f"Read a part with bounds=, or warp the file to UTM or to geographic coordinates first."

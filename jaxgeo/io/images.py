@@ -57,15 +57,15 @@ def check_size(name: str, shape: Sequence[int], camera: AbstractCamera | Any) ->
     if width is None or height is None or (rows, cols) == (height, width):
         return
     across, down = cols / width, rows / height
-    told = f"{name}: the image has {cols} columns and {rows} rows, the camera of the scene {width} and {height}"
+    mismatch = f"{name}: the image has {cols} columns and {rows} rows, the camera of the scene {width} and {height}"
     if abs(across / down - 1.0) < CLOSE:
         raise ImageError(
-            f"{told}. If it is the camera's image at {across:.6g} times its size, scale the camera too: width, height, "
-            f"and focal length and principal point in pixels; else it belongs to another scene."
+            f"{mismatch}. If it is the camera's image at {across:.6g} times its size, scale the camera too: width, "
+            f"height, focal length and principal point in pixels; else it belongs to another scene."
         )
     if abs((rows / width) / (cols / height) - 1.0) < CLOSE:
-        raise ImageError(f"{told}: it seems to be turned by a quarter. Give the image as the sensor has it.")
-    raise ImageError(f"{told}. It is cut, or belongs to another scene; name the scene of this image.")
+        raise ImageError(f"{mismatch}: it seems to be turned by a quarter. Give the image as the sensor has it.")
+    raise ImageError(f"{mismatch}. It is cut, or belongs to another scene; name the scene of this image.")
 
 
 def opened(name: str, reach: Reach = HERE) -> DatasetReader:
@@ -152,10 +152,10 @@ def _check_bands(name: str, bands: Sequence[int], finite: np.ndarray) -> None:
     empty = [band for band in bands if band not in sound]
     if not (sound and empty):
         return
-    told = f"band {empty[0]} is" if len(empty) == 1 else f"bands {', '.join(map(str, empty))} are"
+    bands_are = f"band {empty[0]} is" if len(empty) == 1 else f"bands {', '.join(map(str, empty))} are"
     wish = " ".join(f"--band {band}" for band in sound)
     raise ImageError(
-        f"{name}: {told} nowhere finite, and a pixel is known only where all its bands are. Choose the others: "
+        f"{name}: {bands_are} nowhere finite, and a pixel is known only where all its bands are. Choose the others: "
         f"bands={sound}, on the command line {wish} (of a reference --reference-band)."
     )
 

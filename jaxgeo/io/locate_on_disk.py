@@ -23,7 +23,7 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
-from jaxgeo.terrain.search.base import CEILING_MARGIN
+from jaxgeo.terrain.search.reach import CEILING_MARGIN
 
 WORTH_SPLITTING = 1_000_000  # posts: smaller windows are not split
 SAVING = 0.6  # largest share of a window's posts in its two halves for a split

@@ -138,7 +138,7 @@ def read_orientations(
     if crs is None and linear_alteration_above is not None:
         raise TableError(f"{path}: linear_alteration_above= is of heights in a map; give its crs too.")
     try:
-        pose, told = _poses(columns, numbers, crs, height_datum, linear_alteration_above)
+        pose, notes = _poses(columns, numbers, crs, height_datum, linear_alteration_above)
     except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
@@ -146,7 +146,7 @@ def read_orientations(
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
     of_camera = "omega_deg" in numbers or (crs is not None and "x_m" in numbers)
-    return Orientations(names, pose, camera, sigma, time, (*told, *_of_program(columns)), of_camera)
+    return Orientations(names, pose, camera, sigma, time, (*notes, *_of_program(columns)), of_camera)
 
 
 def crs_of(columns: Columns, crs: Any) -> Any:
@@ -196,8 +196,8 @@ def which_map(columns: Columns) -> str:
     what, example = "projected", "EPSG:32616"
     if len(cells) == 2 and _in_degrees(*cells):
         what, example = "in deg", "EPSG:4326"
-    told = f"{columns.table.path}: {called[0]} is {what}, and the file states no CRS: pass "
-    return f'{told}crs="{example}".'
+    reason = f"{columns.table.path}: {called[0]} is {what}, and the file states no CRS: pass "
+    return f'{reason}crs="{example}".'
 
 
 def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:
@@ -222,14 +222,14 @@ def _poses(
     is_map = crs is not None and not _is_geographic(columns.table.path, crs)
     if "omega_deg" in numbers:
         omega, phi, kappa = (np.deg2rad(numbers[name]) for name in ("omega_deg", "phi_deg", "kappa_deg"))
-        told = [] if is_map else ["Omega, phi and kappa are taken against east, north and up at each image."]
-        return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence)), told
+        notes = [] if is_map else ["Omega, phi and kappa are taken against east, north and up at each image."]
+        return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence)), notes
     heading, pitch, roll = (np.deg2rad(numbers[name]) for name in ("heading_deg", "pitch_deg", "roll_deg"))
     if not is_map:
         return Pose(position, heading, pitch, roll), []
     low, high = np.rad2deg(np.min(convergence)), np.rad2deg(np.max(convergence))
-    told = [f"Headings are taken from the map's grid north, {low:.2f} to {high:.2f} deg clockwise of true north here."]
-    return Pose(position, heading + convergence, pitch, roll), told
+    notes = [f"Headings are taken from the map's grid north, {low:.2f} to {high:.2f} deg clockwise of true north here."]
+    return Pose(position, heading + convergence, pitch, roll), notes
 
 
 def positions_of(
@@ -293,14 +293,14 @@ def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergen
 def _of_program(columns: Columns) -> list[str]:
     """Assumptions about a program's columns."""
     header = [name.lower() for name in columns.table.header]
-    told = []
+    notes = []
     if "f=n" in header:
-        told.append(
+        notes.append(
             "W, P and K are taken as omega, phi and kappa in deg, as MicMac's OriConvert does; where they are pitch, "
             "roll and yaw, name the columns so."
         )
     if {"r11", "r33"} <= set(header):
-        told.append("The rotation matrices beside the angles are not read.")
+        notes.append("The rotation matrices beside the angles are not read.")
     if {"f", "px", "py"} <= set(header):
-        told.append("Focal lengths and distortion in the file are not read: it does not say how large the images are.")
-    return told
+        notes.append("Focal lengths and distortion in the file are not read: it does not say how large the images are.")
+    return notes

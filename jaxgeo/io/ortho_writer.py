@@ -20,7 +20,7 @@ from jaxgeo._partial import partial_file
 from jaxgeo.io._read_back import WrittenWindows
 from jaxgeo.io.map_raster import MOST_WRITTEN, MapRaster, checked_target, is_too_large, map_of
 from jaxgeo.io.mapping import measure
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
 
 BLOCK = 256  # cells on a side of the tiles of a file
 QUICK = 1  # of nine deflate levels: the others take three times as long for a few percent

@@ -22,7 +22,7 @@ from jaxgeo.io.mapping import MapError
 from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.windows import Bounds, window_of_bounds
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
 
 
 class OrthoimageReport(NamedTuple):

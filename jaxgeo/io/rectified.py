@@ -19,8 +19,8 @@ from jaxgeo.io.orthoimages import raster_of_file
 from jaxgeo.io.paths import files_behind
 from jaxgeo.io.reach import Reach
 from jaxgeo.io.windows import Bounds
-from jaxgeo.register.interpolation import AbstractInterpolation
-from jaxgeo.register.rectify import BILINEAR, TILE, Rectifier, Tile, tiles_of
+from jaxgeo.ortho.interpolation import AbstractInterpolation
+from jaxgeo.ortho.rectification import BILINEAR, TILE, Rectifier, Tile, tiles_of
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
@@ -87,7 +87,7 @@ def rectify_file(
       shows it (unless the image is unknown there), or the reason why not. Its tags list the codes.
     - `progress` shows a bar, on a terminal. `allow_remote`, `allow_outside`: of the rasters read, as in `read_dem`.
 
-    Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.register.rectify`. Cells
+    Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.ortho.rectify`. Cells
     on hidden ground and outside the image are unknown. Files appear only when complete.
     Raises `ImageError` for the image, also if its size is not the camera's; `ValueError` for a raster that
     is invalid, contains nothing of the image, or is too large for a file, and if the image or `like` would be

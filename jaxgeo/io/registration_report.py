@@ -58,8 +58,8 @@ def tie_heights(ties: TiePoints, update: Update | None) -> np.ndarray:
     if update is None:
         return np.asarray(ties.ground.height)
     time = jnp.zeros(()) if update.time is None else update.time
-    look = ModelInputs(Exposure(update.sensor, update.shot, time, update.atmosphere), terrain=update.terrain)
-    given = update.errors.moved(look, -jnp.asarray(update.error)).terrain
+    inputs = ModelInputs(Exposure(update.sensor, update.shot, time, update.atmosphere), terrain=update.terrain)
+    given = update.errors.moved(inputs, -jnp.asarray(update.error)).terrain
     heights = _heights(padded(checked_ties(ties)), jnp.asarray(update.shift), given, update.terrain)
     return np.asarray(heights)[: ties.count]
 

@@ -56,7 +56,7 @@ def _of_ground(table: ErrorsTable) -> list[Any]:
 
 def _of_axes(kind: Any, key: str, given: Given, gimbal: Gimbal) -> Any:
     if not gimbal.names:
-        raise ValueError(f"[errors] {key}: the gimbal is fixed and has no readings that could err.")
+        raise ValueError(f"[errors] {key}: the gimbal is fixed, so its readings have no error.")
     return kind.from_degrees(**dict(zip(gimbal.names, _each(given, len(gimbal.names), key), strict=True)))
 
 

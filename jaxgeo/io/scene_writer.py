@@ -84,8 +84,8 @@ def _with_changes(source: pathlib.Path, text: str, changes: Changes) -> str:
     try:
         SceneTable.model_validate(content)
     except ValidationError as error:
-        told = "\n".join(f"{source}, updated: {line}" for line in explain(error, content))
-        raise SceneError(told) from None
+        reasons = "\n".join(f"{source}, updated: {line}" for line in explain(error, content))
+        raise SceneError(reasons) from None
     return text
 
 

@@ -18,7 +18,7 @@ from jaxgeo.io.blocks import Blocks
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS
 from jaxgeo.io.mapping import FileMap
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.terrain.search.base import CEILING_MARGIN
+from jaxgeo.terrain.search.reach import CEILING_MARGIN
 
 USUAL_FLOOR = -500.0  # m: below nearly all dry land, so paths have short segments above it and long ones below
 FINE, COARSE = 16, 2  # segments of a path above and below it

@@ -149,10 +149,10 @@ def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -
     del stamp  # only part of the cache key: a changed time or size means a changed file
     with _opened(path, reach) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
-            told = f"{path}: there is no band {band}; the file has {data.count}"
+            lack = f"{path}: there is no band {band}; the file has {data.count}"
             if _INSIDE.get():  # the source of a VRT, whose author named the band
-                raise DemError(f"{told}. {_INSIDE.get()[-1]} asks for it; make that VRT anew.")
-            raise DemError(f"{told}. Pass {'band=1' if data.count == 1 else f'one from band=1 to band={data.count}'}.")
+                raise DemError(f"{lack}. {_INSIDE.get()[-1]} asks for it; make that VRT anew.")
+            raise DemError(f"{lack}. Pass {'band=1' if data.count == 1 else f'one from band=1 to band={data.count}'}.")
         _check_holds_heights(path, data, band)
         _check_georeferenced(path, data)
         if data.crs is None:

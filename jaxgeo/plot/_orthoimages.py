@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty import Propagation
 

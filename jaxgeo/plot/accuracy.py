@@ -82,11 +82,11 @@ def _one_colour(found: AccuracyMap, ax: Axes, here: np.ndarray, colour: str, lab
     keyed(ax, label, area=True, facecolor=colour, alpha=SEEN_THROUGH)
 
 
-def _cells(found: AccuracyMap, ax: Axes, values: np.ndarray, **look: Any) -> Any:
+def _cells(found: AccuracyMap, ax: Axes, values: np.ndarray, **style_options: Any) -> Any:
     """Draw known values: lattice points as cells, others as markers."""
     lon, lat = lonlat_deg(found.position)
     degrees(ax, float(np.nanmean(lat)))
-    style: dict[str, Any] = {"alpha": SEEN_THROUGH, "rasterized": True, "label": "_places", **look}
+    style: dict[str, Any] = {"alpha": SEEN_THROUGH, "rasterized": True, "label": "_places", **style_options}
     if values.ndim == 2 and min(values.shape) > 1 and np.isfinite(lon).all():
         return ax.pcolormesh(lon, lat, values, shading="nearest", **style)
     known = np.isfinite(values) & np.isfinite(lon)

@@ -171,9 +171,9 @@ def _bins(count: int) -> int:
 def _steps(count: np.ndarray, edges: np.ndarray, label: str, filled: bool, ax: Axes) -> Artist:
     """Draw one histogram, filled or as an outline."""
     if filled:
-        look: dict[str, Any] = {"facecolor": "#a9cbe3", "edgecolor": BLUE, "linewidth": 0.8}
-        ax.stairs(count, edges, fill=True, zorder=2, label=f"_{label}", **look)
-        return keyed(ax, label, area=True, **look)
+        style: dict[str, Any] = {"facecolor": "#a9cbe3", "edgecolor": BLUE, "linewidth": 0.8}
+        ax.stairs(count, edges, fill=True, zorder=2, label=f"_{label}", **style)
+        return keyed(ax, label, area=True, **style)
     line: dict[str, Any] = {"edgecolor": ORANGE, "linewidth": 1.4}
     ax.stairs(count, edges, zorder=3, label=f"_{label}", **line)
     return keyed(ax, label, color=ORANGE, linewidth=1.4)

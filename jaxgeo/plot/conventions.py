@@ -164,8 +164,8 @@ def _level(axes: Axes) -> None:
     sight = FROM_RIGHT @ _sight(Gimbal.three_axis(), Mount.forward(), yaw=0.0, pitch=-42.0, roll=0.0)
     _arrow(axes, (0, 0), 1.45 * sight, CAMERA, "line of sight", side="below")
     _turn(axes, (1, 0), sight, 0.9, "pitch < 0", HEAD, label=(0.97, -0.3), ha="left")
-    look: dict[str, Any] = {"color": MUTED, "fontsize": "small", "style": "italic", "ha": "center"}
-    axes.text(0.0, 0.48, "the body's tilt does not matter", **look)
+    options: dict[str, Any] = {"color": MUTED, "fontsize": "small", "style": "italic", "ha": "center"}
+    axes.text(0.0, 0.48, "the body's tilt does not matter", **options)
 
 
 def _image(axes: Axes) -> None:
@@ -189,8 +189,8 @@ def _image(axes: Axes) -> None:
     for dot, text, side in corners:
         axes.plot(*dot, "o", ms=2.6, color=INK, zorder=6)
         at = (left + 0.05, top + 0.1) if side == "above" else (left + width * step + 0.07, last[1])
-        look: dict[str, Any] = {"fontsize": "small", "va": "bottom" if side == "above" else "center"}
-        axes.text(*at, text, color=INK, ha="left", **look)
+        options: dict[str, Any] = {"fontsize": "small", "va": "bottom" if side == "above" else "center"}
+        axes.text(*at, text, color=INK, ha="left", **options)
 
 
 def _frames(axes: Axes) -> None:
@@ -223,8 +223,8 @@ def _frames(axes: Axes) -> None:
 
 def _arrow_in_axes(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
     """A short arrow, in fractions of the axes."""
-    look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 6, "lw": 0.9, "color": MUTED}
-    axes.add_patch(FancyArrowPatch(start, end, transform=axes.transAxes, shrinkA=0, shrinkB=0, **look))
+    options: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 6, "lw": 0.9, "color": MUTED}
+    axes.add_patch(FancyArrowPatch(start, end, transform=axes.transAxes, shrinkA=0, shrinkB=0, **options))
 
 
 PANELS: dict[str, Callable[[Axes], None]] = {
@@ -245,8 +245,8 @@ def _panel(axes: Axes, title: str, note: str, tall: tuple[float, float] | None =
         axes.set(xlim=WIDE, ylim=tall, aspect="equal")
     axes.axis("off")
     axes.set_title(title, fontsize="medium")
-    look: dict[str, Any] = {"transform": axes.transAxes, "color": MUTED, "fontsize": "small", "va": "top"}
-    axes.text(0.0, -0.02, note, **look)
+    options: dict[str, Any] = {"transform": axes.transAxes, "color": MUTED, "fontsize": "small", "va": "top"}
+    axes.text(0.0, -0.02, note, **options)
 
 
 def _attitude(heading: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
@@ -293,9 +293,9 @@ def _arrow(
 
 
 def _head(axes: Axes, start: Place, end: Place, colour: str, width: float) -> None:
-    look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 7.5, "lw": width, "shrinkA": 0, "shrinkB": 0}
+    options: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 7.5, "lw": width, "shrinkA": 0, "shrinkB": 0}
     tail, tip = (tuple(np.asarray(x, float).tolist()) for x in (start, end))
-    axes.add_patch(FancyArrowPatch(tail, tip, color=colour, zorder=4, **look))
+    axes.add_patch(FancyArrowPatch(tail, tip, color=colour, zorder=4, **options))
 
 
 def _into_page(

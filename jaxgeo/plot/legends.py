@@ -82,9 +82,11 @@ def colour_bar(ax: Axes, label: str, *, beside: Any = None, **given: Any) -> Col
     return bar
 
 
-def keyed(ax: Axes, label: str, *, area: bool = False, **look: Any) -> Artist:
+def keyed(ax: Axes, label: str, *, area: bool = False, **style: Any) -> Artist:
     """A proxy legend entry: a line, marker or `area` that is not drawn on the axes."""
-    one: Artist = Rectangle((0.0, 0.0), 0.0, 0.0, label=label, **look) if area else Line2D([], [], label=label, **look)
+    one: Artist = (
+        Rectangle((0.0, 0.0), 0.0, 0.0, label=label, **style) if area else Line2D([], [], label=label, **style)
+    )
     if area:
         one.set_transform(ax.transAxes)
     ax.add_artist(one)

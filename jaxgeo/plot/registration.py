@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
 from jaxgeo._checks import check_is
+from jaxgeo.ortho.orthoimage import Orthoimage, cell_side
 from jaxgeo.plot._orthoimages import drape, draw_map, on_map, over, show, stretched, turned
 from jaxgeo.plot.cloud import unit_circle
 from jaxgeo.plot.legends import keyed, legend_of
 from jaxgeo.plot.style import FIX, INK, REGISTERED, SAMPLED, SKY, halo, house_axes, metres, round_length
-from jaxgeo.register.orthoimage import Orthoimage, cell_side
 from jaxgeo.register.passes import AT_FIRST, Pass
 from jaxgeo.register.peaks import ellipses
 from jaxgeo.register.places import BlockPlaces

@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.plot.legends import legend
 from jaxgeo.plot.registration import checkerboard, circles_on_map, shifts, ties_on_map
 from jaxgeo.plot.style import PAGE, style
-from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.passes import Pass
 from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.registration import LIMITS, Registration

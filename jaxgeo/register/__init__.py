@@ -1,4 +1,4 @@
-"""Image registration to a reference map: rectification, block matching, orientation update, covariance."""
+"""Image registration to a reference map: block matching, orientation update, covariance."""
 
 from jaxgeo._renamed import renamed
 from jaxgeo.register.affine import AffineCheck
@@ -8,44 +8,32 @@ from jaxgeo.register.choice import AbstractChoice, Chosen
 from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.consensus import PoseConsensus
 from jaxgeo.register.flattening import remove_illumination
-from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Cubic, Nearest
 from jaxgeo.register.matching import match_blocks
 from jaxgeo.register.orientation_update import update_orientation
-from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.prior import Prior
-from jaxgeo.register.rectify import Rectified, Rectifier, rectify
 from jaxgeo.register.registration import Limits, Registration, register_image
-from jaxgeo.register.render import Rendered, render
 from jaxgeo.register.sequence import propagate_prior
 from jaxgeo.register.tie_errors import FullJacobian, LevelGround, TieErrors
 from jaxgeo.register.ties import TiePoints
 
 __all__ = [
     "AbstractChoice",
-    "AbstractInterpolation",
     "AffineCheck",
-    "Bilinear",
     "BlockOutcome",
     "Chosen",
     "Clusters",
-    "Cubic",
     "FullJacobian",
     "LevelGround",
     "Limits",
     "Matches",
-    "Nearest",
-    "Orthoimage",
     "Outcome",
     "Pass",
     "PoseConsensus",
     "Prior",
-    "Rectified",
-    "Rectifier",
     "Registration",
-    "Rendered",
     "TieErrors",
     "TiePoints",
     "Update",
@@ -54,19 +42,27 @@ __all__ = [
     "false_alarms",
     "match_blocks",
     "propagate_prior",
-    "rectify",
     "register_image",
     "remove_illumination",
-    "render",
     "second_best",
     "update_orientation",
 ]
 
 DEPRECATED = {
+    "AbstractInterpolation": "jaxgeo.ortho.AbstractInterpolation",
+    "Bilinear": "jaxgeo.ortho.Bilinear",
+    "Cubic": "jaxgeo.ortho.Cubic",
+    "Nearest": "jaxgeo.ortho.Nearest",
+    "Orthoimage": "jaxgeo.ortho.Orthoimage",
+    "Rectified": "jaxgeo.ortho.Rectified",
+    "Rectifier": "jaxgeo.ortho.Rectifier",
+    "Rendered": "jaxgeo.ortho.Rendered",
     "flattened": "remove_illumination",
     "match": "match_blocks",
     "next_prior": "propagate_prior",
+    "rectify": "jaxgeo.ortho.rectify",
     "register": "register_image",
+    "render": "jaxgeo.ortho.render",
     "runner_up": "second_best",
     "update": "update_orientation",
 }

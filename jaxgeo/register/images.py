@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from jaxgeo._record import portable
 from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.register.flattening import remove_illumination
-from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.ortho.rendering import met, seen_at
 from jaxgeo.register._equations import on_surface
 from jaxgeo.register.blocks import Matches
 from jaxgeo.register.choice import Chosen
@@ -18,7 +19,6 @@ from jaxgeo.register.comparison import AbstractComparison, on_ground, tied
 from jaxgeo.register.images import Images, RegistrationFailed
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.prediction import Shifts, in_chunks
-from jaxgeo.register.render import met, seen_at
 from jaxgeo.register.ties import TiePoints
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.status import Status

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.ortho.orthoimage import cell_side
+from jaxgeo.ortho.rectification import Rectifier
 from jaxgeo.register.blocks import Matches
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.comparison import AbstractComparison, on_ground, tied
 from jaxgeo.register.images import Images, RegistrationFailed
-from jaxgeo.register.orthoimage import cell_side
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
-from jaxgeo.register.rectify import Rectifier
 from jaxgeo.register.ties import TiePoints
 from jaxgeo.sensor import Shot
 from jaxgeo.terrain.grid import AbstractGrid, surface_point

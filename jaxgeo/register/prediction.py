@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84, R_ecef_from_enu
-from jaxgeo.register.cells import height_on
+from jaxgeo.ortho.cells import height_on
 from jaxgeo.sensor.exposure import image_of_point, line_of_sight
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem

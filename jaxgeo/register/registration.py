@@ -16,17 +16,17 @@ from jaxgeo._record import Record
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
 from jaxgeo.observation import Exposure, accepts_exposure
+from jaxgeo.ortho.orthoimage import Orthoimage
+from jaxgeo.ortho.rectification import checked_image
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.consensus import PoseConsensus
 from jaxgeo.register.images import Images, RegistrationFailed
 from jaxgeo.register.orientation_update import update_orientation
-from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass, one_pass
 from jaxgeo.register.plan import SIDES, Search, planned
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.prior import Prior, checked_prior
-from jaxgeo.register.rectify import checked_image
 from jaxgeo.register.residual_correlation import morans_i_zscore
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints

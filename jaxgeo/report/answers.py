@@ -107,11 +107,11 @@ def comparison_of(comparison: Comparison) -> dict[str, Any]:
             "cells": [
                 {
                     "text": words.radius(value),
-                    "mark": MARKS[told][0],
-                    "kind": told.replace(" ", "-"),
-                    "title": MARKS[told][1],
+                    "mark": MARKS[validity][0],
+                    "kind": validity.replace(" ", "-"),
+                    "title": MARKS[validity][1],
                 }
-                for value, told in zip(row.values, row.validity, strict=True)
+                for value, validity in zip(row.values, row.validity, strict=True)
             ],
         }
         for row in comparison.rows
@@ -176,6 +176,6 @@ def camera_of(subject: ReportData, index: int) -> list[tuple[str, str]]:
     facts.append(("attitude", ", ".join(f"{name} {value:.3f}°" for name, value in angles)))
     readings = np.rad2deg(np.asarray(shot.gimbal_readings, np.float64).reshape(-1))
     if readings.size:
-        told = ", ".join(f"{name} {value:.3f}°" for name, value in zip(sensor.gimbal.names, readings, strict=True))
-        facts.append(("gimbal", told))
+        shown = ", ".join(f"{name} {value:.3f}°" for name, value in zip(sensor.gimbal.names, readings, strict=True))
+        facts.append(("gimbal", shown))
     return facts

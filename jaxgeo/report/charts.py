@@ -49,7 +49,7 @@ def section_chart(section: Section, name: str) -> Any:
     if behind.any() and len(section.hits):
         x, y = np.insert(km[behind], 0, end), np.insert(sight[behind], 0, at)
         chart.line(x, y, line_color=SIGHT, line_width=1.6, line_dash="dashed", line_alpha=0.8)
-    _told_along(chart, km, sight, ground, unit)
+    _add_tips(chart, km, sight, ground, unit)
     _hits(chart, section, scale)
     chart.scatter([0.0], [float(section.sight[0])], marker="triangle", size=13, fill_color=SIGHT, line_color="#ffffff")
     return chart
@@ -63,7 +63,7 @@ def _thinned(section: Section) -> np.ndarray:
     return np.unique(np.clip(np.concatenate([even, *near]), 0, count - 1))
 
 
-def _told_along(chart: Any, along: np.ndarray, sight: np.ndarray, ground: np.ndarray, unit: str) -> None:
+def _add_tips(chart: Any, along: np.ndarray, sight: np.ndarray, ground: np.ndarray, unit: str) -> None:
     """Add tooltips at the nearest sample."""
     source = {
         "x": along,

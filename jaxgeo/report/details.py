@@ -45,10 +45,10 @@ class Detail(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
-        told: dict[str, Any] = {"index": self.index}
-        told |= {"budget": None if self.budget is None else self.budget.to_dict()}
+        content: dict[str, Any] = {"index": self.index}
+        content |= {"budget": None if self.budget is None else self.budget.to_dict()}
         if self.comparison is None:
-            return told | {"comparison": None, "because": self.unsure}
+            return content | {"comparison": None, "because": self.unsure}
         one = self.comparison
         names = [f"{name.lower()}_m" for name, _ in FIGURES]
         methods = [
@@ -59,7 +59,7 @@ class Detail(NamedTuple):
             name: {"value": q.value, "low": q.low, "high": q.high} for name, q in zip(names, one.quantiles, strict=True)
         }
         samples = {"count": one.sampled.count, "jumped": one.jumped, "failed": one.failed, **sampled}
-        return told | {"comparison": {"methods": methods, "samples": samples, "verdict": one.verdict}}
+        return content | {"comparison": {"methods": methods, "samples": samples, "verdict": one.verdict}}
 
 
 def details_of(subject: ReportData, *, most: int = 3) -> list[Detail]:
@@ -89,8 +89,8 @@ def chosen(subject: ReportData, most: int) -> list[tuple[int, str]]:
     picks = [(len(order) // 2, "median CE90"), (len(order) - 1, "largest CE90"), (0, "smallest CE90")]
     places = [*picks, *((k, "further fix") for k in np.linspace(0, len(order) - 1, most + 2).astype(int)[1:-1])]
     unique = {int(order[place]): why for place, why in reversed(places)}
-    told = [(index, unique[index]) for index in dict.fromkeys(int(order[place]) for place, _ in places)]
-    return told[:most]
+    chosen = [(index, unique[index]) for index in dict.fromkeys(int(order[place]) for place, _ in places)]
+    return chosen[:most]
 
 
 def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.ndarray]) -> Detail:
@@ -106,14 +106,14 @@ def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.
         return detail._replace(unsure="No error sources are given.")
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
     options: dict[str, Any] = {"sampling": Sampling(count=SAMPLES), "atmosphere": subject.atmosphere}
-    told = compare(sensor, shot, uv, terrain, model, **options)
+    compared = compare(sensor, shot, uv, terrain, model, **options)
     is_facet = int(np.asarray(subject.accuracy.method)[index]) == Method.facet
-    linear = told.propagations[FACET if is_facet else FOOTPRINT]
+    linear = compared.propagations[FACET if is_facet else FOOTPRINT]
     if not np.isfinite(np.asarray(linear.cov_enu)).all():
         return detail._replace(
-            comparison=told, unsure="The ground slope is undefined here, so errors cannot be propagated."
+            comparison=compared, unsure="The ground slope is undefined here, so errors cannot be propagated."
         )
-    return detail._replace(comparison=told, budget=budget(linear, subject.probability))
+    return detail._replace(comparison=compared, budget=budget(linear, subject.probability))
 
 
 def _section(subject: ReportData, index: int, ray: Ray, terrain: Any) -> Section | None:

@@ -146,16 +146,16 @@ def _ellipses(chart: Any, subject: ReportData, details: Sequence[Detail], places
     by_index = {detail.index: detail for detail in details}
     shown = places.index if len(places.index) <= MOST_ELLIPSES else np.array(sorted(by_index), int)
     found = [(int(i), ellipse_of(subject, int(i), by_index.get(int(i)))) for i in shown]
-    told = [(index, one) for index, one in found if one is not None]
-    if not told:
+    ellipses = [(index, one) for index, one in found if one is not None]
+    if not ellipses:
         return
     source = {
-        "xs": [unwrapped(one.ring[:, 0], places.box.centre[0]) for _, one in told],
-        "ys": [one.ring[:, 1] for _, one in told],
-        "name": [subject.name(index) for index, _ in told],
-        "what": [one.what for _, one in told],
-        "axes": [f"{words.length(one.major)} by {words.length(one.minor)}" for _, one in told],
-        "azimuth": [words.number(one.azimuth_deg, 0) + "°" if one.major > one.minor else "–" for _, one in told],
+        "xs": [unwrapped(one.ring[:, 0], places.box.centre[0]) for _, one in ellipses],
+        "ys": [one.ring[:, 1] for _, one in ellipses],
+        "name": [subject.name(index) for index, _ in ellipses],
+        "what": [one.what for _, one in ellipses],
+        "axes": [f"{words.length(one.major)} by {words.length(one.minor)}" for _, one in ellipses],
+        "azimuth": [words.number(one.azimuth_deg, 0) + "°" if one.major > one.minor else "–" for _, one in ellipses],
     }
     style: dict[str, Any] = {"source": ColumnDataSource(source), "name": "ellipse"}
     chart.patches("xs", "ys", line_color=None, fill_color=VERMILLION, fill_alpha=0.08, **style)

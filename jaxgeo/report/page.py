@@ -65,7 +65,7 @@ def write_report(
     path: str | os.PathLike[str],
     subject: ReportData,
     *,
-    told: ReportHeader | None = None,
+    header: ReportHeader | None = None,
     details: Sequence[Detail] | None = None,
     most: int = 3,
 ) -> None:
@@ -74,17 +74,17 @@ def write_report(
     Raises `ValueError` for a path that cannot be written to.
     """
     with destination("path", pathlib.Path(path)) as stream:
-        stream.write(report_html(subject, told=told, details=details, most=most))
+        stream.write(report_html(subject, header=header, details=details, most=most))
 
 
 def report_html(
-    subject: ReportData, *, told: ReportHeader | None = None, details: Sequence[Detail] | None = None, most: int = 3
+    subject: ReportData, *, header: ReportHeader | None = None, details: Sequence[Detail] | None = None, most: int = 3
 ) -> str:
     """Self-contained HTML page of a report; needs no network.
 
     `details` are the details of selected pixels, by default `details_of(subject, most=most)`.
     """
-    told = ReportHeader() if told is None else told
+    header = ReportHeader() if header is None else header
     details = details_of(subject, most=most) if details is None else details
     rows = rows_of(subject.fixes, figures_of("report", subject.fixes, subject.accuracy, None, None, None))
     places = places_of(subject, details)
@@ -95,8 +95,8 @@ def report_html(
         _environment()
         .get_template("page.html")
         .render(
-            told=told,
-            made=_made(told),
+            header=header,
+            made=_made(header),
             version=versions().get("jaxgeo", "not installed"),
             percent=words.percent_name(subject.probability),
             summary=summary_of(subject, rows) if len(subject) > len(details) or not details else None,
@@ -111,7 +111,7 @@ def report_html(
             has_heights=bool(heights),
             table=table_of(subject, rows),
             camera=camera_of(subject, details[0].index if details else 0),
-            inputs=_plain_inputs(told.inputs),
+            inputs=_plain_inputs(header.inputs),
             versions=versions() | {"bokeh": importlib.metadata.version("bokeh")},
             numbers=_script_data(_for_script(charts, places, heights, subject, details)),
             library=Markup(_library()),
@@ -251,8 +251,8 @@ def _environment() -> jinja2.Environment:
     return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
 
 
-def _made(told: ReportHeader) -> str:
-    made = datetime.datetime.now(datetime.UTC) if told.made is None else told.made
+def _made(header: ReportHeader) -> str:
+    made = datetime.datetime.now(datetime.UTC) if header.made is None else header.made
     return made.astimezone(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 

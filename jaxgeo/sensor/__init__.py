@@ -38,6 +38,7 @@ from jaxgeo.sensor.distortion import (
 )
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import Deflection, Mount, Pose, Shot, boresight_from_degrees
+from jaxgeo.sensor.pointing import point_shot, point_trajectory
 from jaxgeo.sensor.scanning import PushbroomCamera, RollingShutterCamera, WhiskbroomCamera
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.sensor.trajectory import Trajectory
@@ -64,6 +65,8 @@ __all__ = [
     "WhiskbroomCamera",
     "boresight_from_degrees",
     "conventions",
+    "point_shot",
+    "point_trajectory",
 ]
 
 DEPRECATED = {

@@ -174,8 +174,8 @@ def _within_limits(
     reading = offset + angles / factor
     fewest = jnp.ceil((low - reading) / period - LIMIT_SLACK)
     most = jnp.floor((high - reading) / period + LIMIT_SLACK)
-    wished = jnp.round((start[free] - reading) / period)
-    turns = jnp.where(fewest <= most, jnp.clip(wished, fewest, most), wished)
+    nearest = jnp.round((start[free] - reading) / period)
+    turns = jnp.where(fewest <= most, jnp.clip(nearest, fewest, most), nearest)
     reading = jnp.clip(reading + turns * period, low, high)
     return start.at[free].set(reading), factor * (reading - offset)
 

@@ -172,7 +172,7 @@ class Pose(Record):
     def looking_at(cls, *, position: Geodetic, point: Geodetic, roll: ScalarField = 0.0) -> Pose:
         """Pose at `position` whose body x axis points at `point`; with `Mount.forward()` so does the camera.
 
-        Ignores lever arms and boresight; `Sensor.looking_at` includes them, with a gimbal.
+        Ignores lever arms and boresight; `jaxgeo.sensor.point_shot` includes them, with a gimbal.
         """
         position, point, roll = as_float64((position, point, roll), "Pose.looking_at")
         sight = R_ecef_from_ned(position).T @ (WGS84.to_ecef(point) - WGS84.to_ecef(position))
@@ -201,9 +201,6 @@ class Pose(Record):
         # R = Rx(omega) Ry(phi) Rz(kappa) is the transpose of a heading-pitch-roll matrix with opposite signs.
         kappa, phi, omega = heading_pitch_roll_from_R(R.T)
         return -omega, -phi, -kappa
-
-
-_READINGS = partial(as_array, name="gimbal_readings")
 
 
 class Shot(Record):

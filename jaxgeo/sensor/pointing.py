@@ -1,4 +1,4 @@
-"""Gimbal readings that point at a ground point: input checks and error messages."""
+"""Shots and trajectories whose gimbal points at the ground, with input checks and error messages."""
 
 from __future__ import annotations
 
@@ -9,57 +9,83 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
 from jaxgeo.earth import Atmosphere, Geodetic
-from jaxgeo.sensor.aiming import TOLERANCE, Aimed, Target, aim, aim_along
+from jaxgeo.sensor.aiming import TOLERANCE, Aimed, aim, aim_along
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Gimbal, Readings
-from jaxgeo.sensor.platform import Pose
+from jaxgeo.sensor.line_of_sight import Target
+from jaxgeo.sensor.platform import Pose, Shot
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status
 
 
-def readings_towards(
+def point_shot(
     sensor: Sensor,
     pose: Pose,
     point: Geodetic,
-    uv: Numbers | None,
-    readings: Numbers | None,
-    air: Atmosphere | None,
-) -> Readings:
-    """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
+    *,
+    uv: Numbers | None = None,
+    readings: Numbers | None = None,
+    time: ArrayLike = 0.0,
+    atmosphere: Atmosphere | None = None,
+) -> Shot:
+    """Shot at `pose` whose gimbal readings put the optical axis (or pixel `uv`, or a sweep's middle) on `point`.
+
+    Includes lever arms, boresight, gains, distortion and, if given, the atmosphere. `readings` are the start of the
+    search, by default zero axis angles clipped to the limits. With more than two axes, those that move the line of
+    sight least at the start (the roll of a drone's gimbal) keep their start readings.
+    Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; for traced
+    input the readings are NaN instead. `coverage.point_gimbal` sets a status instead, and considers terrain.
+
+    >>> from jaxgeo.sensor import point_shot
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = point_shot(sensor, pose, jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.001, height=600.0))
+    >>> yaw, pitch, roll = np.rad2deg(shot.gimbal_readings)
+    >>> print(f"yaw {yaw:.2f} deg, pitch {pitch:.2f} deg")
+    yaw 34.38 deg, pitch -41.70 deg
+    """
     check_axes(sensor.gimbal)
     check_is(pose, Pose, "pose", "Of a Shot or a Trajectory, shot.pose or trajectory.at(time).pose.")
     check_is(point, Geodetic, "point")
-    check_air(air)
+    check_air(atmosphere)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
-    given: Any = as_float64((sensor, pose, point, uv, readings, air), "looking_at")
-    _check_given(given[1:])
+    given: Any = as_float64((sensor, pose, point, uv, readings, atmosphere), "point_shot")
+    _check_given("point_shot", given[1:])
     found = aim(*given)
     _raise_unless_reached(given, found)
-    return _reached(found)
+    return Shot(pose, _reached(found), time)
 
 
-def steered(
+def point_trajectory(
     sensor: Sensor,
     trajectory: Trajectory,
     points: Geodetic,
-    uv: Numbers | None,
-    readings: Numbers | None,
-    air: Atmosphere | None,
+    *,
+    uv: Numbers | None = None,
+    readings: Numbers | None = None,
+    atmosphere: Atmosphere | None = None,
 ) -> Trajectory:
-    """Trajectory with readings that point at `points` knot by knot. See `Sensor.steered`."""
+    """Trajectory with gimbal readings that keep the optical axis (or `uv`) on `points`.
+
+    `points` hold one position per knot (a scan path over the ground), or a single one to stare at.
+    `readings` are the start of the search at the first knot; each later knot starts from the one before, so that
+    axes do not jump. Raises `ValueError` as `point_shot`, naming the knot.
+    """
     check_axes(sensor.gimbal)
     check_is(trajectory, Trajectory, "trajectory")
     check_is(points, Geodetic, "points")
-    check_air(air)
+    check_air(atmosphere)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
-    given: Any = as_float64((sensor, trajectory, points, uv, readings, air), "steered")
+    given: Any = as_float64((sensor, trajectory, points, uv, readings, atmosphere), "point_trajectory")
     sensor, trajectory, points, uv, start, air = given
-    _check_given((trajectory.poses, points, uv, start, air))
+    _check_given("point_trajectory", (trajectory.poses, points, uv, start, air))
     points = for_each_knot(trajectory, points, "points")
     found = aim_along(sensor, trajectory.poses, points, uv, start, air)
     readings = jax.vmap(_reached)(found)
@@ -94,7 +120,7 @@ def check_axes(gimbal: Gimbal) -> None:
     """Raise `ValueError` for a gimbal without axes."""
     if not gimbal.axes:
         raise ValueError(
-            "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
+            "This sensor's gimbal has no axes, so it cannot point: turn the platform, e.g. Pose.looking_at."
         )
 
 
@@ -104,9 +130,9 @@ def check_air(air: Any) -> None:
         check_is(air, Atmosphere, "atmosphere", "Leave it out for no refraction.")
 
 
-def _check_given(given: Any) -> None:
+def _check_given(function: str, given: Any) -> None:
     for leaf in jax.tree.leaves(given):
-        check_finite(leaf, "What looking_at is given (pose, point, uv, readings, atmosphere)", "rad, m, pixels or SI")
+        check_finite(leaf, f"The input of {function} (pose, point, uv, readings, atmosphere)", "rad, m, pixels or SI")
 
 
 def _raise_unless_reached(given: Any, found: Aimed, where: str = "") -> None:

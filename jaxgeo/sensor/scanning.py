@@ -159,7 +159,7 @@ class PushbroomCamera(AbstractLineCamera):
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
         """Raises `ValueError`: the row of a point depends on the motion."""
         raise ValueError(
-            "A pushbroom camera that stands still sees the same line in every row, so no row can be told for a point. "
+            "A pushbroom camera that stands still sees the same line in every row, so a point has no row. "
             "Give project a Trajectory in place of a Shot; Trajectory.steady makes one of a shot and its velocity."
         )
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._numerics import all_finite, finite_or, matmul3, matvec
 from jaxgeo._record import Record
+from jaxgeo._renamed import moved_method
 from jaxgeo._typing import Flag, Matrix3, Pixel, StatusCode, Vector3
-from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_ned
+from jaxgeo.earth import Atmosphere, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
-from jaxgeo.sensor.camera import AbstractCamera, Numbers, PixelLike, Vector3Like
+from jaxgeo.sensor.camera import AbstractCamera, PixelLike, Vector3Like
 from jaxgeo.sensor.gimbal import Gimbal
-from jaxgeo.sensor.platform import Mount, Pose, Shot, Station
+from jaxgeo.sensor.platform import Mount, Shot, Station
 from jaxgeo.status import Status, seen_beside, status_where
-
-if TYPE_CHECKING:
-    from jaxgeo.sensor.trajectory import Trajectory
 
 T = TypeVar("T")
 
@@ -118,54 +115,8 @@ class Sensor(Record):
         uv, status = sensor.camera.project(sensor.sight(shot).to_camera(p_ecef, air))
         return jnp.where(valid, uv, jnp.nan), status_where(~valid, Status.invalid_input, status)
 
-    def looking_at(
-        self,
-        pose: Pose,
-        point: Geodetic,
-        *,
-        uv: Numbers | None = None,
-        readings: Numbers | None = None,
-        time: ArrayLike = 0.0,
-        atmosphere: Atmosphere | None = None,
-    ) -> Shot:
-        """Shot at `pose` whose gimbal readings put the optical axis (or pixel `uv`, or a sweep's middle) on `point`.
-
-        Includes lever arms, boresight, gains, distortion and, if given, the atmosphere. `readings` are the start of the
-        search, by default zero axis angles clipped to the limits. With more than two axes, those that move the line of
-        sight least at the start (the roll of a drone's gimbal) keep their start readings.
-        Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; for traced
-        input the readings are NaN instead.
-
-        >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
-        >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
-        >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
-        >>> shot = sensor.looking_at(pose, jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.001, height=600.0))
-        >>> yaw, pitch, roll = np.rad2deg(shot.gimbal_readings)
-        >>> print(f"yaw {yaw:.2f} deg, pitch {pitch:.2f} deg")
-        yaw 34.38 deg, pitch -41.70 deg
-        """
-        from jaxgeo.sensor.pointing import readings_towards  # circular: pointing imports this class
-
-        return Shot(pose, readings_towards(self, pose, point, uv, readings, atmosphere), time)
-
-    def steered(
-        self,
-        trajectory: Trajectory,
-        points: Geodetic,
-        *,
-        uv: Numbers | None = None,
-        readings: Numbers | None = None,
-        atmosphere: Atmosphere | None = None,
-    ) -> Trajectory:
-        """Trajectory with gimbal readings that keep the optical axis (or `uv`) on `points`.
-
-        `points` hold one position per knot (a scan path over the ground), or a single one to stare at.
-        `readings` are the start of the search at the first knot; each later knot starts from the one before, so that
-        axes do not jump. Raises `ValueError` as `looking_at`, naming the knot.
-        """
-        from jaxgeo.sensor.pointing import steered  # circular: pointing imports this class
-
-        return steered(self, trajectory, points, uv, readings, atmosphere)
+    looking_at = moved_method("jaxgeo.Sensor.looking_at", "jaxgeo.sensor.point_shot")
+    steered = moved_method("jaxgeo.Sensor.steered", "jaxgeo.sensor.point_trajectory")
 
 
 def made_safe(sensor: Sensor, motion: T, vector: Any) -> tuple[Flag, Sensor, T, Any]:

@@ -11,12 +11,6 @@ from typing import Any
 from jaxgeo.studies.claims import Claim, Verdict, claims_sheet
 from jaxgeo.studies.sheet import Sheet, write_sheets
 
-TITLES = {
-    "li2023": "Li et al. (2023), target location by fast elevation iteration",
-    "li2020": "Li et al. (2020), overlap of oblique strips",
-    "xue2019": "Xue et al. (2019), direct georeferencing and self-calibration",
-    "gu2017": "Gu and Qiao (2017), registration to a reference image",
-}
 SAMPLES = 20_000  # for each row of Li et al. (2023); fewer than in its own command, so that all studies take minutes
 RUNS: dict[str, Callable[[Any, int], Any]] = {
     "li2023": lambda study, seed: study.run(samples=SAMPLES, seed=seed),
@@ -64,7 +58,7 @@ def run(name: str, seed: int = 0, folder: pathlib.Path | None = None) -> Study:
             pictures = sorted(own.glob("*.png"))
         except ImportError as error:
             missing = str(error)
-    return Study(name, TITLES[name], report.claims, package.sheets_of(report), pictures, missing)
+    return Study(name, report.title, report.claims, package.sheets_of(report), pictures, missing)
 
 
 def write_verdicts(found: Sequence[Study], folder: pathlib.Path) -> None:

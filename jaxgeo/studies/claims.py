@@ -94,8 +94,8 @@ class Claim:
             return self.reason
         with_it, expected = (shown(x, self.digits) for x in (self.explanation.obtained, self.explanation.expected))
         bears = f"with it {with_it}, expected {expected}"
-        told = f"{self.explanation.cause} ({bears})" if self.verdict is Verdict.explained else ""
-        return " ".join(text for text in (self.reason, told) if text)
+        explained = f"{self.explanation.cause} ({bears})" if self.verdict is Verdict.explained else ""
+        return " ".join(text for text in (self.reason, explained) if text)
 
 
 def is_within(obtained: Values, expected: Values, tolerance: Values) -> bool:

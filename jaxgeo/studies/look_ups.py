@@ -9,7 +9,7 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain import Dem
-from jaxgeo.terrain.search.base import reach_of
+from jaxgeo.terrain.search.reach import reach_of
 
 SAG = 1.0 / (8.0 * 6.3e6)  # 1/m: sag of a straight line below the ellipsoid's curve at the middle of a chord
 FINEST = 24  # dyadic levels at most

@@ -42,9 +42,9 @@ from jaxgeo.terrain import (
     outcome_of,
 )
 from jaxgeo.terrain.polish import polish
-from jaxgeo.terrain.search.base import reach_of
-from jaxgeo.terrain.search.bisection import SHORTEST
-from jaxgeo.terrain.search.studied import Approach, approach
+from jaxgeo.terrain.search.literature.bisection import SHORTEST
+from jaxgeo.terrain.search.literature.studied import Approach, approach
+from jaxgeo.terrain.search.reach import reach_of
 
 FIRST_HIT = FirstHit()
 SAME_CROSSING = 30.0  # m of range, one post spacing: points closer together are the same crossing

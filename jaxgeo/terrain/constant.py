@@ -15,8 +15,8 @@ from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.field import AbstractField, ConstantField, checked_field
-from jaxgeo.terrain.interface import AbstractTerrain, Bracket
-from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch
+from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket
+from jaxgeo.terrain.search.reach import ON_GROUND
 
 CLOSE_ENOUGH = 1e-6  # m of height
 ROUNDS = 3  # iterations for the height on an ellipsoid other than WGS 84

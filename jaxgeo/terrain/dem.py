@@ -21,10 +21,9 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain._memory import copied, handed_over
 from jaxgeo.terrain.field import AbstractField, BoundedField, Bounds, SumField, checked_field
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.terrain.interface import AbstractTerrain, Bracket
+from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket
 from jaxgeo.terrain.patch import Patch
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, check_size, extremes, known_posts
-from jaxgeo.terrain.search.base import AbstractSearch
 
 EDGE_TOLERANCE = 1e-9  # cells: rounding tolerance for positions on the last post
 

@@ -16,8 +16,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.field import AbstractField, Bounds, ConstantField, checked_field
-from jaxgeo.terrain.interface import AbstractTerrain, Bracket
-from jaxgeo.terrain.search.base import AbstractSearch
+from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket
 from jaxgeo.terrain.search.first_hit import FirstHit
 from jaxgeo.terrain.search.safe_march import safe_march
 
@@ -127,11 +126,11 @@ def _check_function(given: Any, height_at: Any) -> None:
     if not callable(given):
         raise TypeError(f"height_at must be a function of a Geodetic; got {type(given).__name__}.")
     place = Geodetic(lat=jnp.zeros(()), lon=jnp.zeros(()), height=jnp.zeros(()))
-    told = jax.eval_shape(height_at, place)
-    shape, dtype = getattr(told, "shape", None), getattr(told, "dtype", None)
+    result = jax.eval_shape(height_at, place)
+    shape, dtype = getattr(result, "shape", None), getattr(result, "dtype", None)
     if shape != ():
         raise ValueError(
-            f"height_at must return one height in m for one position; got {type(told).__name__} of shape {shape}."
+            f"height_at must return one height in m for one position; got {type(result).__name__} of shape {shape}."
         )
     if dtype != jnp.float64:
         raise TypeError(f"height_at must return float64; got {dtype}, in which a height of 1000 m is good to 0.1 mm.")

@@ -1,4 +1,4 @@
-"""Terrain interface for ray intersection."""
+"""Interfaces of terrains and of searches for ray intersections."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 
 if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
     from jaxgeo.terrain.field import AbstractField
-    from jaxgeo.terrain.search.base import AbstractSearch
 
 
 class Bracket(Record):
@@ -32,6 +32,14 @@ class Bracket(Record):
     near: ScalarField
     cell: Int[Array, "... 2"]
     status: StatusField
+
+
+class AbstractSearch(Record):
+    """Base class of searches for a ray's crossing of a DEM surface; inputs and bracket carry no derivatives."""
+
+    @abstractmethod
+    def bracket(self, ray: Ray, dem: Dem) -> Bracket:
+        """The crossing of `ray` (ECEF) and `dem` that this search finds, with its cell and status."""
 
 
 class AbstractTerrain(Record):

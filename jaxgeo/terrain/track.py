@@ -14,7 +14,6 @@ from jaxgeo.terrain.dem import Dem
 
 LONGEST_TRACK = 40_000.0  # m: beyond this a quartic is not accurate enough
 TRACK_TOLERANCE = 1e-6  # m; the error for a bent ray is about 5e-7
-COEFFICIENTS = 5  # of a quartic
 _DROPPED = 16.0 / (25.0 * 5.0**0.5)  # largest |tau (tau^2 - 1)^2| on [-1, 1]
 
 

@@ -125,7 +125,7 @@ def accuracy_map(
     """Accuracy of the fix of each ground point: in an image, or with the gimbal pointed at it from a pose.
 
     With a `shot` (or a trajectory and the `time` of the image) each cell has the `accuracy` of its pixel; with a `Pose`
-    instead, that of the optical axis pointed at it as by `Sensor.looking_at`. Cells that are not visible have a status
+    instead, that of the optical axis pointed at it as by `sensor.point_shot`. Cells that are not visible have a status
     and no figures; a pixel whose fix is more than 0.1 m from the cell gives `hidden_by_terrain`. `ground` holds
     latitudes and longitudes in rad, of one shape; heights are those of the terrain. The default is the centre of every
     `step`-th cell of a `Dem`, (rows, cols). Where samples are needed, 2000 are drawn, or as many as `sampling` says,

@@ -15,7 +15,7 @@ from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.locate import project
-from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
+from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory, point_shot
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii
@@ -142,7 +142,7 @@ def _project_cell(lat: Scalar, lon: Scalar, context: MapContext) -> Cell:
         time = context.time if isinstance(context.motion, Trajectory) else None
         seen = project(context.sensor, context.motion, stand_in, time=time, atmosphere=context.air)
         return Cell(jnp.asarray(seen.uv), first_failure(unknown, jnp.asarray(seen.status)), ground)
-    readings = context.sensor.looking_at(context.motion, stand_in, atmosphere=context.air).gimbal_readings
+    readings = point_shot(context.sensor, context.motion, stand_in, atmosphere=context.air).gimbal_readings
     uv, status = context.sensor.camera.project(context.sensor.camera.axis())
     reached = status_where(all_finite(readings), Status.hit, Status.invalid_input.code)
     return Cell(uv, first_failure(unknown, reached, status), ground, readings)

@@ -135,7 +135,7 @@ def test_every_way_to_a_focal_length_has_its_error(tmp_path: pathlib.Path) -> No
         sigma, sensor = jax.tree.map(lambda leaf: np.asarray(leaf)[0], (source.sigma, found.sensor))
         shares[name] = float(sigma[0] / sensor.camera.focal_px[0])
         assert sigma[1] > 0.0
-        assert any(line.startswith("Focal lengths err by") for line in found.assumed)
+        assert any(line.startswith("Focal length sigma: ") for line in found.assumed)
     assert list(shares) == sorted(shares, key=lambda name: shares[name])
     assert shares["DewarpData"] == pytest.approx(_calibrations.CALIBRATED)
     assert shares["film"] == pytest.approx(np.hypot(_calibrations.FILM, _calibrations.BENT))

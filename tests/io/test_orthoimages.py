@@ -27,7 +27,7 @@ from jaxgeo.io import (
     write_orthoimage,
 )
 from jaxgeo.io.map_raster import image_spacing
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
 
 SHAPE = (40, 50)
 LO25 = pyproj.CRS.from_wkt(

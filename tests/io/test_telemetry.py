@@ -241,7 +241,7 @@ def test_a_field_of_view_from_target_width_and_slant_range(file: File) -> None:
     np.testing.assert_allclose(camera.focal_px[:2], expected, rtol=3e-4)
     R = np.asarray(jax.jit(jax.vmap(Sensor.R_ned_from_camera))(found.sensor, found.shots))
     np.testing.assert_allclose(R[0, :, 2], R[2, :, 2], atol=1e-9)
-    assert any("of 2 packets is not told; it is from target width and slant range" in one for one in found.assumed)
+    assert any("of 2 packets is not given; it is from target width and slant range" in one for one in found.assumed)
     for unknown in ({21: bytes(4)}, {22: bytes(2)}):  # no range, no width
         with pytest.raises(TableError, match=r"for want of field of view \(tags 16, 17, or target width 22 or 96"):
             read_telemetry(file(told | unknown))
@@ -252,7 +252,7 @@ def test_a_focal_length_from_target_width_errs_more_than_one_that_is_told(file: 
     given = "focal=700px,size=1280x720"
     for packets, shares, words in (
         ((MADE,), [0.01], ["1 % by fields of view in the packets (standard deviation)"]),
-        ((told,), [0.05], ["5 % by target width and slant range (standard deviation)"]),
+        ((told,), [0.05], ["5 % by target width and slant range;"]),
         ((told, MADE), [0.05, 0.01], ["1 % by fields of view in the packets, 5 % by target width and slant range"]),
     ):
         found = read_telemetry(file(*packets))
@@ -260,7 +260,7 @@ def test_a_focal_length_from_target_width_errs_more_than_one_that_is_told(file: 
         focal = np.asarray(found.sensor.camera.focal_px)[:, 0]  # pyright: ignore
         np.testing.assert_allclose(lens.sigma[:, 0], np.array(shares) * focal)
         np.testing.assert_array_equal(lens.sigma[:, 1:], 0.0)
-        said = [one for one in found.assumed if one.startswith("Focal lengths err by")]
+        said = [one for one in found.assumed if one.startswith("Focal length sigma: ")]
         assert len(said) == 1
         assert all(word in said[0] for word in words)
     found = read_telemetry(file(MADE), camera=given)

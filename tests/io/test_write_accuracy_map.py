@@ -89,7 +89,7 @@ def test_tags_say_what_codes_mean(written) -> None:
     assert tags["VERDICT_CODES"].startswith("-1: no fix | 0: linear propagation | 1: linear propagation over")
     meanings = dict(entry.split(": ", 1) for entry in tags["STATUS_CODES"].split(" | "))
     assert len(meanings) == len(Status)
-    assert meanings["12"].startswith("The pixel, or the image of the point, lies outside")
+    assert meanings["12"].startswith("The pixel, or the image of the point, is outside")
 
 
 @pytest.mark.parametrize(

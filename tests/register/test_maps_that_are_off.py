@@ -16,7 +16,8 @@ from support.rendered import noisy, spoilt, textured
 from jaxgeo.earth import Geodetic, R_ecef_from_enu
 from jaxgeo.io import example_dem
 from jaxgeo.locate import locate
-from jaxgeo.register import Orthoimage, Outcome, Prior, TieErrors, register_image, render
+from jaxgeo.ortho import Orthoimage, render
+from jaxgeo.register import Outcome, Prior, TieErrors, register_image
 from jaxgeo.register.registration import Registration
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at, moved

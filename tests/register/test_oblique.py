@@ -17,10 +17,10 @@ from support.rendered import clouded, noisy, spoilt, textured
 from jaxgeo import Dem, ErrorModel, FrameCamera, Geodetic, Gimbal, Mount, Sensor, Shot, Status, locate
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.io import example_dem
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
+from jaxgeo.ortho.rendering import render
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.registration import Registration, register_image
-from jaxgeo.register.render import render
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at
 from jaxgeo.terrain.grid import surface_point

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import ConstantHeight, Geodetic, register
+from jaxgeo import ConstantHeight, Geodetic, ortho, register
 from jaxgeo.earth import Ellipsoid
 from jaxgeo.register.ties import TiePoints
 from jaxgeo.terrain import TangentGrid
@@ -25,9 +25,9 @@ TIES = TiePoints(
     np.array([[30.0, 30.0]]), Geodetic(lat=np.array([0.8]), lon=np.array([0.1]), height=np.zeros(1)), np.eye(2)[None]
 )
 DOORS = {
-    "rectify": lambda terrain: register.rectify(SENSOR, SHOT, IMAGE, terrain, GRID, (64, 64)),
+    "rectify": lambda terrain: ortho.rectify(SENSOR, SHOT, IMAGE, terrain, GRID, (64, 64)),
     "register": lambda terrain: register.register_image(
-        SENSOR, SHOT, IMAGE, register.Orthoimage.of(IMAGE, GRID), terrain, ERRORS, register.TieErrors(1.0, 1.0)
+        SENSOR, SHOT, IMAGE, ortho.Orthoimage.of(IMAGE, GRID), terrain, ERRORS, register.TieErrors(1.0, 1.0)
     ),
     "update": lambda terrain: register.update_orientation(
         SENSOR, SHOT, TIES, terrain, ERRORS, register.TieErrors(1.0, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
-from jaxgeo.sensor import FrameCamera, Pose, Shot, boresight_from_degrees
+from jaxgeo.sensor import FrameCamera, Pose, Shot, boresight_from_degrees, point_shot
 from jaxgeo.sensor.conventions import li_2020_sensor, li_2020_uv, li_2023_sensor, li_2023_uv
 from jaxgeo.status import Status
 
@@ -99,7 +99,7 @@ def test_compensation_example_of_li_2020():
 
     p_ecef = WGS84.to_ecef(before.position) + 3e4 * R_ecef_from_ned(before.position) @ sight_ned
     point = WGS84.to_geodetic(p_ecef)
-    readings = mirror.looking_at(after, point).gimbal_readings
+    readings = point_shot(mirror, after, point).gimbal_readings
     np.testing.assert_allclose(np.rad2deg(mirror.gimbal.angles(readings)), [theta, phi], rtol=0, atol=1e-9)
     depression, azimuth = np.rad2deg(readings)
     assert depression - 16.0 == pytest.approx(-1.01613, abs=5e-6)

@@ -12,7 +12,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, boresight_from_degrees
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, boresight_from_degrees, point_shot
 
 SIZE = {"focal_px": 9000.0, "width": 8000, "height": 6000}
 CAMERA = FrameCamera.from_pixels(**SIZE)
@@ -55,7 +55,7 @@ def points_to_the_right(count: int = 24) -> Geodetic:
 @jax.jit
 @functools.partial(jax.vmap, in_axes=(None, None, 0, None))
 def look_and_project(sensor, pose, point, uv):
-    shot = sensor.looking_at(pose, point, uv=uv)
+    shot = point_shot(sensor, pose, point, uv=uv)
     seen, _ = sensor.project_ecef(shot, WGS84.to_ecef(point))
     return shot.gimbal_readings, seen, sensor.gimbal.inside_limits(shot.gimbal_readings)
 
@@ -80,13 +80,13 @@ def test_an_axis_that_is_not_needed_is_held():
 @pytest.mark.slow
 def test_held_axes_and_the_search_start_at_given_readings():
     drone = Sensor(CAMERA, Gimbal.three_axis(), Mount.forward(**HELD))
-    shot = drone.looking_at(POSE, POINT, readings=np.array([0.5, -0.5, 0.1]))
+    shot = point_shot(drone, POSE, POINT, readings=np.array([0.5, -0.5, 0.1]))
     assert shot.gimbal_readings[2] == 0.1
     np.testing.assert_allclose(drone.to_camera(shot, WGS84.to_ecef(POINT))[:2], 0.0, rtol=0, atol=1e-8)  # m
 
 
 def test_the_optical_axis_is_the_default():
-    shot = WIDE.looking_at(POSE, POINT, time=7.0)
+    shot = point_shot(WIDE, POSE, POINT, time=7.0)
     sight = WIDE.to_camera(shot, WGS84.to_ecef(POINT))
     np.testing.assert_allclose(sight[:2] / sight[2], 0.0, rtol=0, atol=1e-12)
     assert sight[2] > 0.0
@@ -97,7 +97,7 @@ def readings_of_changes():
     """Readings as a function of changes of pose and point, in units of 1e-3 rad of attitude, 1e-5 rad and 100 m."""
     flat, unravel = ravel_pytree((POSE, POINT))
     unit = jnp.array([1e-5, 1e-5, 100.0, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 100.0])
-    return lambda x: WIDE.looking_at(*unravel(flat + unit * x)).gimbal_readings
+    return lambda x: point_shot(WIDE, *unravel(flat + unit * x)).gimbal_readings
 
 
 STEP, AROUND = 0.1, 0.1 * jnp.concatenate([jnp.eye(9), -jnp.eye(9), jnp.zeros((1, 9))])
@@ -123,25 +123,25 @@ def test_second_derivatives_equal_differences():
 
 
 MISTAKES = {
-    "no axes": (lambda: Sensor(CAMERA).looking_at(POSE, POINT), "gimbal has no axes.* turn the platform"),
+    "no axes": (lambda: point_shot(Sensor(CAMERA), POSE, POINT), "gimbal has no axes.* turn the platform"),
     "out of limits": (
-        lambda: NARROW.looking_at(POSE, POINT),
+        lambda: point_shot(NARROW, POSE, POINT),
         r"would have to go to outer .*, inner .* deg.* outside its limits, outer 70\.\.80, inner -10\.\.10 deg",
     ),
     "out of reach": (
-        lambda: Sensor(CAMERA, Gimbal.from_degrees(axes={"pan": "z"}), Mount.forward()).looking_at(POSE, POINT),
+        lambda: point_shot(Sensor(CAMERA, Gimbal.from_degrees(axes={"pan": "z"}), Mount.forward()), POSE, POINT),
         r"cannot look at the point: the best it finds, pan .* deg, misses it by [1-9]\d?\.\d+ deg",
     ),
     "pixel without a ray": (
-        lambda: LENS_ON_FRAME.looking_at(POSE, POINT, uv=np.array([1e7, 0.0])),
-        "Pixel uv cannot be put on the point. The pixel, or the image of the point, lies outside the image",
+        lambda: point_shot(LENS_ON_FRAME, POSE, POINT, uv=np.array([1e7, 0.0])),
+        "Pixel uv cannot be put on the point. The pixel, or the image of the point, is outside the image",
     ),
     "pose not finite": (
-        lambda: NARROW.looking_at(Pose(POSE.position, np.nan, 0.0, 0.0), POINT),
-        r"looking_at is given \(pose, point, uv, readings, atmosphere\) must be finite",
+        lambda: point_shot(NARROW, Pose(POSE.position, np.nan, 0.0, 0.0), POINT),
+        r"input of point_shot \(pose, point, uv, readings, atmosphere\) must be finite",
     ),
     "readings of another gimbal": (
-        lambda: NARROW.looking_at(POSE, POINT, readings=np.zeros(3)),
+        lambda: point_shot(NARROW, POSE, POINT, readings=np.zeros(3)),
         r"2 axes \(outer, inner\).* got \(3,\)",
     ),
 }

@@ -27,6 +27,7 @@ from jaxgeo import (
     locate,
 )
 from jaxgeo.rotations import rotation_vector_from_R
+from jaxgeo.sensor import point_shot, point_trajectory
 
 FRAME = FrameCamera.from_pixels(focal_px=3000.0, width=2000, height=1500)
 SENSOR = Sensor(FRAME, Gimbal.two_axis(), Mount.nadir(lever_body=np.array([1.0, 0.2, -0.5])))
@@ -52,7 +53,7 @@ def point(north: float = 0.0, height: float = 1200.0) -> Geodetic:
 
 def test_a_steered_gimbal_follows_a_way_over_the_ground():
     way = jax.tree.map(lambda *x: jnp.stack(x), *(point(0.0025 * k) for k in range(9)))
-    steered = SENSOR.steered(FLIGHT, way)
+    steered = point_trajectory(SENSOR, FLIGHT, way)
     for k in (0, 4, 8):
         assert off(SENSOR, steered.at(FLIGHT.times[k]), (999.5, 749.5), jax.tree.map(lambda x, k=k: x[k], way)) < 1e-6
     np.testing.assert_array_equal(steered.poses.heading, FLIGHT.poses.heading)
@@ -61,7 +62,7 @@ def test_a_steered_gimbal_follows_a_way_over_the_ground():
 
 @pytest.mark.slow
 def test_a_steered_gimbal_stares_at_one_point_with_a_pixel():
-    steered = SENSOR.steered(FLIGHT, point(), uv=(900.0, 800.0))
+    steered = point_trajectory(SENSOR, FLIGHT, point(), uv=(900.0, 800.0))
     for time in (FLIGHT.start, FLIGHT.end):
         assert off(SENSOR, steered.at(time), (900.0, 800.0), point()) < 1e-6
 
@@ -69,7 +70,7 @@ def test_a_steered_gimbal_stares_at_one_point_with_a_pixel():
 @pytest.mark.slow
 def test_looking_at_through_the_air_aims_above_the_point():
     pose = START.pose
-    straight, bent = (SENSOR.looking_at(pose, point(), atmosphere=air) for air in (None, AIR))
+    straight, bent = (point_shot(SENSOR, pose, point(), atmosphere=air) for air in (None, AIR))
     assert off(SENSOR, bent, (999.5, 749.5), point(), AIR) < 1e-6
     assert off(SENSOR, bent, (999.5, 749.5), point()) > 0.5
     turn = float(jnp.linalg.norm(bent.gimbal_readings - straight.gimbal_readings))
@@ -83,18 +84,18 @@ def test_a_sweep_is_pointed_by_its_middle_unless_a_pixel_is_named():
     )
     sensor = Sensor(camera, Gimbal.three_axis(reference="body"), Mount.forward())
     for uv in (None, (0.0, 0.0)):
-        shot = sensor.looking_at(START.pose, point(), uv=uv)
+        shot = point_shot(sensor, START.pose, point(), uv=uv)
         assert off(sensor, shot, (500.0, 1500.0) if uv is None else uv, point()) < 1e-6
 
 
 def test_what_a_gimbal_cannot_follow_names_the_knot():
     climbing = jax.tree.map(lambda *x: jnp.stack(x), point(), *[point(height=6e4)] * 8)
     with pytest.raises(ValueError, match=r"At knot 1: The gimbal"):
-        SENSOR.steered(FLIGHT, climbing)
+        point_trajectory(SENSOR, FLIGHT, climbing)
     with pytest.raises(ValueError, match=r"9 knots; got shape \(3,\)"):
-        SENSOR.steered(FLIGHT, Geodetic(lat=jnp.zeros(3), lon=jnp.zeros(3), height=jnp.zeros(3)))
+        point_trajectory(SENSOR, FLIGHT, Geodetic(lat=jnp.zeros(3), lon=jnp.zeros(3), height=jnp.zeros(3)))
     with pytest.raises(ValueError, match="no axes"):
-        Sensor(FRAME, Gimbal.fixed()).steered(FLIGHT, point())
+        point_trajectory(Sensor(FRAME, Gimbal.fixed()), FLIGHT, point())
 
 
 def test_readings_are_put_on_a_trajectory_held_or_knot_by_knot():
@@ -199,9 +200,9 @@ def test_readings_that_wrap_are_refused():
 @pytest.mark.parametrize(
     "ask, kind, words",
     [
-        (lambda: SENSOR.looking_at(FLIGHT, point()), TypeError, r"pose must be.*trajectory\.at"),
+        (lambda: point_shot(SENSOR, FLIGHT, point()), TypeError, r"pose must be.*trajectory\.at"),
         (lambda: SENSOR.perspective_centre(FLIGHT), TypeError, r"shot must be.*trajectory\.at"),
-        (lambda: SENSOR.steered(START, point()), TypeError, "trajectory must be"),
+        (lambda: point_trajectory(SENSOR, START, point()), TypeError, "trajectory must be"),
         (lambda: Trajectory.steady(FLIGHT, velocity_ned=[0.0, 0.0, 0.0]), TypeError, "shot must be"),
         (lambda: Trajectory.steady(START, velocity_ned=[0.0, np.nan, 0.0]), ValueError, "velocity_ned must be finite"),
         (lambda: Trajectory.steady(START, velocity_ned=[0.0] * 3, gimbal_rates=[1.0]), ValueError, "gimbal_rates"),

@@ -44,9 +44,9 @@ FAULTS = {
         "covariance",
     ),
     "a step too late in the fast iteration: the ground under the point before": Fault(
-        "terrain/search/fast_iteration.py",
-        "low = jnp.where(is_above, look.ground, look.height)",
-        "low = jnp.where(is_above, state.look.ground, look.height)",
+        "terrain/search/literature/fast_iteration.py",
+        "low = jnp.where(is_above, sample.ground, sample.height)",
+        "low = jnp.where(is_above, state.sample.ground, sample.height)",
         "search",
     ),
 }

@@ -62,7 +62,7 @@ def test_spread_of_errors_drawn_from_their_covariance() -> None:
     found = gu2017.spread(fixes, np.zeros((count, 3)))
     assert found.squares == pytest.approx(1.0, abs=0.08)
     assert found.rms == pytest.approx(found.sigma, rel=0.06)
-    assert found.ce90 == pytest.approx(found.foretold90, rel=0.06)
+    assert found.ce90 == pytest.approx(found.predicted90, rel=0.06)
     unknown = gu2017.spread(fixes, None)
     assert (unknown.rms, unknown.ce90, unknown.squares) == (None, None, None)
     assert unknown.sigma == pytest.approx(found.sigma)
@@ -159,7 +159,7 @@ def test_an_image_from_end_to_end(report) -> None:
         assert run.registration.accepted
         assert run.after.ce90 < 0.2 * run.before.ce90
         assert 0.2 < run.after.squares < 2.0
-        assert run.after.ce90 == pytest.approx(run.after.foretold90, rel=0.5)
+        assert run.after.ce90 == pytest.approx(run.after.predicted90, rel=0.5)
 
 
 @pytest.mark.slow
@@ -188,8 +188,8 @@ def test_blocks_ties_and_frames(report) -> None:
         assert one.trials > 1
         assert len(one.each) % one.trials == 0
         assert len(one.each) > 0
-    foretold = [one.spread.foretold90 for one in report.by_ties]
-    assert np.all(np.diff(foretold) < 0.0)
+    predicted = [one.spread.predicted90 for one in report.by_ties]
+    assert np.all(np.diff(predicted) < 0.0)
     alone, carried, seldom = (report.frames[k : k + FRAMES] for k in range(0, 3 * FRAMES, FRAMES))
     assert carried[0].sigma_position == pytest.approx(alone[0].sigma_position)
     for one, other in zip(carried[1:], alone[1:], strict=True):

@@ -21,7 +21,7 @@ from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.io import MapRaster, example_dem, read_orthoimage, write_orthoimage
 from jaxgeo.io.map_raster import checked_crs
-from jaxgeo.register.render import render
+from jaxgeo.ortho.rendering import render
 from support.drone_image_files import FULL, packet, write_image
 from support.fractal import fractal_posts
 from support.klv_packets import local_set, usual

@@ -17,8 +17,9 @@ from jaxgeo.adjust import Adjustment, Reliability, adjust
 from jaxgeo.coverage import Footprint, Overlap
 from jaxgeo.earth import WGS84, Geodetic, TransverseMercator
 from jaxgeo.fix import Fix
+from jaxgeo.ortho import Orthoimage
 from jaxgeo.plot import Section, style
-from jaxgeo.register import BlockOutcome, Chosen, Matches, Orthoimage, Outcome, Pass, Registration, TieErrors, TiePoints
+from jaxgeo.register import BlockOutcome, Chosen, Matches, Outcome, Pass, Registration, TieErrors, TiePoints
 from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.prediction import Shifts
 from jaxgeo.status import Status

@@ -12,7 +12,7 @@ import numpy as np
 from jaxgeo.io import read_dem, read_orientations
 from jaxgeo.io.images import read_image
 from jaxgeo.io.orthoimages import read_orthoimage
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor, Shot
 from jaxgeo.terrain import Dem
 

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from jaxgeo import Dem, Geodetic
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.studies.gu2017.scene import heights_on
 from jaxgeo.terrain import TangentGrid
 from support.fractal import fractal_posts

@@ -1,4 +1,4 @@
-"""Fields of height on a terrain: the hit is that on the changed posts, for every ray of a crowd with its own field."""
+"""Fields of height on a terrain: the hit is that on the changed posts, for every ray of a batch with its own field."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxgeo.terrain import AbstractField, ConstantField, LineField, Segmented, S
 SIDE = 129  # posts
 NODES = 65
 RAYS = 320
-SAME = 5e-9  # m of clearance, as in test_crowd
+SAME = 5e-9  # m of clearance, as in test_batched
 POSTS = 200.0 + fractal_posts(SIDE, spacing=30.0, relief=500.0, exponent=3.0, seed=4)
 BIASES = (-30.0, -0.3, 0.0, 12.0)  # m
 
@@ -82,7 +82,7 @@ def rays() -> Ray:
 
 @pytest.fixture(scope="module")
 def own_fields():
-    """Hits of a crowd, each ray with its field, in blocks so small that bundles and rounds take part."""
+    """Hits of a batch, each ray with its field, in blocks so small that bundles and rounds take part."""
 
     def one(ray: Ray, field: SumField, dem: Dem):
         return intersect(ray, dem.with_field(field))

@@ -15,7 +15,7 @@ from jaxgeo import Dem, Geodetic
 from jaxgeo._checks import MOST_INDEXED, check_countable
 from jaxgeo.io import DemError, read_dem
 from jaxgeo.io.windows import padded_shape
-from jaxgeo.register.interpolation import Pixels
+from jaxgeo.ortho.interpolation import Pixels
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.terrain.pyramid import _level_shapes, check_size, texel_of
 from jaxgeo.uncertainty.sampling import Sampling, resolve_sampling

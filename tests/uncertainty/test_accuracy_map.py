@@ -10,6 +10,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, Status, Trajectory
 from jaxgeo.earth import WGS84
+from jaxgeo.sensor import point_shot
 from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, Sampling, accuracy, accuracy_map, sources
 from tests.support.scenes import rough, small_dem
 
@@ -114,7 +115,7 @@ def pointed():
 def test_from_a_pose_the_gimbal_is_pointed_at_each_place(pointed) -> None:
     sensor, found = pointed
     for place in (0, 1):
-        shot = sensor.looking_at(POSE, at(found.position, place))
+        shot = point_shot(sensor, POSE, at(found.position, place))
         np.testing.assert_allclose(found.readings[place], shot.gimbal_readings, atol=1e-12)  # rad
         alone = accuracy(sensor, shot, CAMERA.principal_px, LEVEL, MODEL)
         assert [float(getattr(found, name)[place]) for name in FIGURES] == pytest.approx(

@@ -98,11 +98,11 @@ def in_file(tags: ImageTags, found: Calibration, width: int, height: int) -> Cal
     across, down = tags.width / width, tags.height / height
     if across == 1.0 and down == 1.0:
         return found
-    told = (
+    note = (
         f"Image was resized ({tags.width} x {tags.height} of {width} x {height}): focal length and principal point "
         f"scaled by {across:.6g}."
     )
-    return replace(found.scaled(across, down), assumed=(*found.assumed, told))
+    return replace(found.scaled(across, down), assumed=(*found.assumed, note))
 
 
 def camera_shown(tags: ImageTags) -> str:
@@ -149,8 +149,8 @@ def _dji_dewarp(tags: ImageTags, width: int, height: int) -> Calibration | None:
         middle = _middle(width, height)
         found = Calibration((numbers[0], numbers[1]), (middle[0] + numbers[2], middle[1] + numbers[3]), f"{name}")
         if tags.number("drone-dji:DewarpFlag", (0.0, 1.0, "")) == 1.0:
-            told = "The image is said to be freed of distortion (DewarpFlag 1): focal length and principal point stay."
-            return replace(found, assumed=(told,))
+            note = "The image is said to be freed of distortion (DewarpFlag 1): focal length and principal point stay."
+            return replace(found, assumed=(note,))
         return replace(found, coefficients=(*numbers[4:], *[0.0] * (12 - count)))
     return None
 
@@ -166,10 +166,10 @@ def _dji_designed(tags: ImageTags, width: int, height: int) -> Calibration | Non
         for way in (_table, _exif_metric, _exif_film):
             found = way(tags, width, height)
             if found is not None:
-                told = f"{name} {focal:g} is taken to be in mm, since it is close to EXIF:FocalLength {in_mm:g}."
+                note = f"{name} {focal:g} is taken to be in mm, since it is close to EXIF:FocalLength {in_mm:g}."
                 scale = focal / in_mm
                 same = (found.focal[0] * scale, found.focal[1] * scale)
-                return replace(found, focal=same, how=f"{name} in mm, {found.how}", assumed=(*found.assumed, told))
+                return replace(found, focal=same, how=f"{name} in mm, {found.how}", assumed=(*found.assumed, note))
     principal = _dji_centre(tags) or _middle(width, height)
     found = Calibration((focal, focal), principal, name, focal_sigma=DESIGNED, principal_sigma=MIDDLE)
     return found.undistorted()
@@ -193,12 +193,12 @@ def exif_focal(tags: ImageTags) -> float | None:
 def calibration_by_table(known: KnownCamera, width: int, height: int) -> Calibration:
     """The calibration of a table entry, for an image of its full size."""
     model, focal = known.model, known.focal_mm / known.pitch_mm
-    told = (
+    note = (
         f"The camera is taken from the table of cameras: {model.name}, focal length {known.focal_mm:g} mm, pixels of "
         f"{1e3 * known.pitch_mm:.4g} um; the principal point as the middle of the image."
     )
     middle, how = _middle(width, height), f"table of cameras: {model.name}"
-    found = Calibration((focal, focal), middle, how, (0.0,) * 8, (told,), model.focal_sigma, MIDDLE)
+    found = Calibration((focal, focal), middle, how, (0.0,) * 8, (note,), model.focal_sigma, MIDDLE)
     return found.undistorted()
 
 
@@ -225,12 +225,12 @@ def _skydio(tags: ImageTags, width: int, height: int) -> Calibration | None:
     if len(radial) != 3:
         raise tags.wrong("drone-skydio:DewarpData", f"{len(radial)} numbers; expected 3: k1, k2, k3.")
     k1, k2, k3 = radial
-    told = (
+    note = (
         "Skydio's DewarpData are taken as the radial k1, k2, k3 of OpenCV's formula; if that is wrong, what it bends "
         "at the corners counts as an error of the focal length."
     )
     bent = (k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0)
-    return replace(found, coefficients=bent, assumed=(told,), focal_sigma=math.hypot(found.focal_sigma, BENT))
+    return replace(found, coefficients=bent, assumed=(note,), focal_sigma=math.hypot(found.focal_sigma, BENT))
 
 
 def _pix4d(tags: ImageTags, width: int, height: int) -> Calibration | None:
@@ -266,9 +266,9 @@ def _exif_metric(tags: ImageTags, width: int, height: int) -> Calibration | None
     density, focal = _density(tags), exif_focal(tags)
     if density is None or not focal:
         return None
-    told = "The principal point is taken as the middle of the image."
+    note = "The principal point is taken as the middle of the image."
     how, pixels = "EXIF:FocalLength and FocalPlaneXResolution", (focal * density[0], focal * density[1])
-    found = Calibration(pixels, _middle(width, height), how, (0.0,) * 8, (told,), ROUNDED, MIDDLE)
+    found = Calibration(pixels, _middle(width, height), how, (0.0,) * 8, (note,), ROUNDED, MIDDLE)
     return found.undistorted()
 
 
@@ -281,13 +281,12 @@ def _exif_film(tags: ImageTags, width: int, height: int) -> Calibration | None:
     focal = film * math.hypot(width, height) / FILM_DIAGONAL
     is_cut = max(width, height) > WIDE * min(width, height)
     sigma = FILM_CUT if is_cut else FILM
-    told = (
+    note = (
         f"The focal length is only known as that of a 35 mm film ({film:g} mm): it is taken to be in proportion to the "
-        f"diagonals of image and film, which errs by {100 * sigma:g} % (standard deviation); the principal point as "
-        f"the middle of the image."
+        f"diagonals of image and film (sigma {100 * sigma:g} %); the principal point as the middle of the image."
     )
     how = "EXIF:FocalLengthIn35mmFilm"
-    found = Calibration((focal, focal), _middle(width, height), how, (0.0,) * 8, (told,), sigma, MIDDLE)
+    found = Calibration((focal, focal), _middle(width, height), how, (0.0,) * 8, (note,), sigma, MIDDLE)
     return found.undistorted()
 
 

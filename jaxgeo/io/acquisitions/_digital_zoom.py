@@ -46,21 +46,21 @@ def magnified_calibration(tags: ImageTags, zoom: float, named: KnownCamera | Non
         raise tags.wrong(
             RATIO,
             f"the image is magnified {zoom:g} times, and {camera_shown(tags)} with {width} x {height} pixels of it is "
-            f"not in the table of cameras, by which the part of the detector could be told. Give the camera with its "
+            f"not in the table of cameras, which would give the part of the detector. Give the camera with its "
             f"focal length {zoom:g} times as long: {FORMS}.",
         )
     plain = calibration_by_table(known, width, height)
     more = UNSURE * (zoom - 1.0)
-    told = (
+    note = (
         f"{RATIO} {zoom:g}: the image has the {width} x {height} pixels of the whole detector, so it is taken as the "
-        f"middle part made so much larger: the focal length is {zoom:g} times that of the table, and errs by "
-        f"{100.0 * more:.3g} % more (standard deviation)."
+        f"middle part made so much larger: the focal length is {zoom:g} times that of the table, and its "
+        f"sigma is {100.0 * more:.3g} % larger."
     )
     found = replace(
         plain,
         focal=(plain.focal[0] * zoom, plain.focal[1] * zoom),
         how=f"{plain.how}, magnified {zoom:g} times",
-        assumed=(*plain.assumed, told),
+        assumed=(*plain.assumed, note),
         focal_sigma=math.hypot(plain.focal_sigma, more),
         principal_sigma=MIDDLE * zoom,
     )
@@ -75,7 +75,7 @@ def _is_resampled(tags: ImageTags, known: KnownCamera, width: int, height: int) 
     return any((width, height) == mode[:2] for mode in model.modes)
 
 
-def magnified_told(zoom: float) -> str:
+def magnified_note(zoom: float) -> str:
     """Sentence: the caller's camera is used unchanged."""
     return (
         f"{RATIO} {zoom:g}: the camera that is given is taken as that of the magnified image, its focal length "

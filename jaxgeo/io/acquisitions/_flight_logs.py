@@ -76,7 +76,7 @@ def acquisition_of_records(
     for record in records:
         _check_range(path, record)
     height_name = "above_takeoff" if takeoff_height is not None else "altitude"
-    known, told = _known(path, records, sentinels, height_name)
+    known, notes = _known(path, records, sentinels, height_name)
     columns = {
         name: np.array([record.numbers[name] for record in known], np.float64)
         for name in ("lat", "lon", height_name, "yaw", "pitch", "roll")
@@ -96,7 +96,7 @@ def acquisition_of_records(
         names=np.array([record.name for record in known]),
         sensor=sensor,
         shots=Shot(pose, np.zeros((count, 0)), times if timed else np.zeros(count)),
-        assumed=(*of_heights, ANGLES, *assumed, *of_camera, *of_times, *told),
+        assumed=(*of_heights, ANGLES, *assumed, *of_camera, *of_times, *notes),
         facts={"records": f"{count} of {len(records)}", **facts},
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,
@@ -149,10 +149,10 @@ def _known(
             left[why] = left.get(why, 0) + 1
         else:
             known.append(record)
-    told = [f"{count} of {len(records)} records are left out: {why}." for why, count in left.items()]
+    notes = [f"{count} of {len(records)} records are left out: {why}." for why, count in left.items()]
     if not known:
         raise TableError(f"{path}: no record tells where the camera was and how it was turned: {'; '.join(left)}.")
-    return known, told
+    return known, notes
 
 
 def _unknown(record: LogRecord, quantity: str, needed: Sequence[str], sentinels: tuple[Sentinel, ...]) -> str:

@@ -45,13 +45,13 @@ def angles_given(tags: ImageTags, given: GivenAngles) -> tuple[float, float, flo
         yaw = tags.number(HEADING, YAW)
     if yaw is None:
         raise TableError(
-            f"{tags.path}: yaw is asked for as the heading of the aircraft, which is not told ({HEADING}); "
+            f"{tags.path}: yaw is asked for as the heading of the aircraft, which is not given ({HEADING}); "
             f"give it in deg: gimbal_deg=(0, {pitch:g}, {roll:g})."
         )
     return yaw, pitch, roll
 
 
-def given_told(given: GivenAngles) -> str:
+def given_note(given: GivenAngles) -> str:
     """Sentence: angles are from the caller."""
     yaw = "the heading of the aircraft" if given[0] is None else f"{given[0]:g} deg"
     return f"The camera's angles are as given: yaw {yaw}, pitch {given[1]:g} deg, roll {given[2]:g} deg."

@@ -17,7 +17,7 @@ from jaxgeo.io.acquisitions._calibrations import (
     full_size,
     interior_sigma,
 )
-from jaxgeo.io.acquisitions._digital_zoom import magnified_calibration, magnified_told, zoom_of
+from jaxgeo.io.acquisitions._digital_zoom import magnified_calibration, magnified_note, zoom_of
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions.record import for_each
@@ -35,33 +35,33 @@ GivenCamera = FrameCamera | str | os.PathLike[str]
 
 
 def sensor_of_images(
-    tags: list[ImageTags], maker: Maker, camera: GivenCamera | None, told: dict[str, None]
+    tags: list[ImageTags], maker: Maker, camera: GivenCamera | None, notes: dict[str, None]
 ) -> tuple[Sensor, tuple[InteriorOrientation, ...], str]:
     """(sensors and their interior-orientation errors, with an entry for each image; focal length as text).
 
-    `told` gets a sentence for each assumption. Raises `TableError`, and as `given_camera`.
+    `notes` gets a sentence for each assumption. Raises `TableError`, and as `given_camera`.
     """
     gimbal = Gimbal.three_axis(limits=LIMITS)
     mount = Mount.forward() if maker.looks == "forward" else Mount.nadir()
     if maker.looks == "down":
-        told |= {"Yaw, pitch and roll are taken in Pix4D's sense: of the camera, at zero looking straight down.": None}
+        notes |= {"Yaw, pitch and roll are taken in Pix4D's sense: of the camera, at zero looking straight down.": None}
     given = None if camera is None else given_camera(camera)
     if isinstance(given, FrameCamera | Lens):
-        made, how = _as_given(tags[0], given, told)
+        made, how = _as_given(tags[0], given, notes)
         return for_each(Sensor(made, gimbal, mount), len(tags)), (), _focal_shown(made.focal_px, how)
     found = [_by_tags(one) if given is None else _by_name(one, given) for one in tags]
-    told |= dict.fromkeys(line for one in found for line in one.assumed)
+    notes |= dict.fromkeys(line for one in found for line in one.assumed)
     made = _camera(found, tags[0].width, tags[0].height)
     source = jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(interior_sigma(found, tags[0].width)))
-    told |= dict.fromkeys(_errors_told(found, source))
+    notes |= dict.fromkeys(_error_notes(found, source))
     gimbal, mount = for_each((gimbal, mount), len(tags))
     ways = " or ".join(dict.fromkeys(one.how for one in found))
     return Sensor(made, gimbal, mount), (source,), _focal_shown(made.focal_px, ways)
 
 
-def _as_given(tags: ImageTags, given: FrameCamera | Lens, told: dict[str, None]) -> tuple[FrameCamera, str]:
+def _as_given(tags: ImageTags, given: FrameCamera | Lens, notes: dict[str, None]) -> tuple[FrameCamera, str]:
     size, zoom = (tags.width, tags.height), zoom_of(tags)
-    told |= {AS_GIVEN: None} | ({magnified_told(zoom): None} if zoom > 1.0 else {})
+    notes |= {AS_GIVEN: None} | ({magnified_note(zoom): None} if zoom > 1.0 else {})
     if isinstance(given, Lens):
         if given.size not in (None, size):
             raise TableError(f"{tags.path}: the image has {size[0]} x {size[1]} pixels; leave size= of camera= out.")
@@ -73,7 +73,7 @@ def _as_given(tags: ImageTags, given: FrameCamera | Lens, told: dict[str, None])
             f"{given.height}, which is another shape; give the camera of these images."
         )
     if made is not given:
-        told |= {
+        notes |= {
             f"The camera given has {given.width} x {given.height} pixels, the image {size[0]} x {size[1]}: it is taken "
             f"as the whole image at another size.": None
         }
@@ -111,14 +111,14 @@ def _camera(found: list[Calibration], width: int, height: int) -> FrameCamera:
     return FrameCamera(focal, principal, distortion, width, height)
 
 
-def _errors_told(found: list[Calibration], source: InteriorOrientation) -> list[str]:
+def _error_notes(found: list[Calibration], source: InteriorOrientation) -> list[str]:
     """Sentences on the interior-orientation errors."""
     shares = np.array([100.0 * one.focal_sigma for one in found])
     sigma = np.asarray(source.sigma)
     focal, point = span_shown(sigma[:, 0], ".3g"), span_shown(sigma[:, 1], ".3g")
     return [
-        f"Focal lengths err by {span_shown(shares, '.2g')} %, {focal} pixels, as is usual for how they are known.",
-        f"Principal points err by {point} pixels, as is usual for how they are known.",
+        f"Focal length sigma: {span_shown(shares, '.2g')} %, {focal} pixels (default for its source).",
+        f"Principal point sigma: {point} pixels (default for its source).",
     ]
 
 

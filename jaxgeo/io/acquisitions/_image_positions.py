@@ -69,8 +69,8 @@ def heights_of(
         if not maker.relative:
             raise TableError(f"{first.path}: its maker does not tell heights above the take-off; give height_datum=.")
         above = [_needed(one, maker.relative) for one in tags]
-        told = f"Heights are {maker.relative} above a take-off at {takeoff_height:g} m, as the barometer has them."
-        return takeoff_height + np.array(above), [told]
+        note = f"Heights are {maker.relative} above a take-off at {takeoff_height:g} m, as the barometer has them."
+        return takeoff_height + np.array(above), [note]
     heights = np.array([_altitude(one, maker) for one in tags])
     if maker.datum and all(one.text(maker.datum).lower().startswith("ellips") for one in tags):
         if height_datum not in (None, "ellipsoid"):

@@ -136,7 +136,7 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     check_regular(name, ImageError)
     cut = "the file is damaged or cut short"
     try:
-        with heard("PIL", UserWarning) as told, open(name, "rb") as file:
+        with heard("PIL", UserWarning) as warned, open(name, "rb") as file:
             check_tag_sizes(file, name)
             raw = _raw(_opened(file, name))
     except UnidentifiedImageError as error:
@@ -146,8 +146,8 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     except PILLOW_ERRORS as error:
         raise ImageError(f"{name}: {cut}: {error}") from error
     _check_kind(name, raw)
-    if told or not raw.is_whole:  # Pillow's warning of truncated directories
-        raise ImageError(f"{name}: {cut}: {told[0] if told else 'its pixels end before their time.'}")
+    if warned or not raw.is_whole:  # Pillow's warning of truncated directories
+        raise ImageError(f"{name}: {cut}: {warned[0] if warned else 'its pixels end before their time.'}")
     found, repeated = _xmp(name, raw.packet)
     return ImageTags(name, *raw.size, _exif(name, raw.entries) | found, repeated)
 

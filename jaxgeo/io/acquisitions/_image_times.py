@@ -14,10 +14,10 @@ def time_of(tags: ImageTags) -> tuple[float | None, bool]:
 
     None if the file has no time. Raises `TableError` for an invalid time.
     """
-    told = "drone-dji:UTCAtExposure"
-    if tags.text(told):
-        written = tags.text(told)
-        return _seconds(tags, told, written[:10].replace(":", "-") + written[10:], UTC), True
+    utc_tag = "drone-dji:UTCAtExposure"
+    if tags.text(utc_tag):
+        written = tags.text(utc_tag)
+        return _seconds(tags, utc_tag, written[:10].replace(":", "-") + written[10:], UTC), True
     name, zone = "EXIF:DateTimeOriginal", tags.text("EXIF:OffsetTimeOriginal")
     date, stamp = tags.text("EXIF:GPSDateStamp"), tags.numbers("EXIF:GPSTimeStamp")
     if not zone and date and len(stamp) == 3:

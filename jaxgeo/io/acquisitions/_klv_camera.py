@@ -48,7 +48,7 @@ def usual_size(columns: Columns) -> tuple[int, int]:
 def sensor_of(path: Any, columns: Columns, size: tuple[int, int], given: FrameCamera | Lens | None) -> Sensor:
     """The camera along the x axis of a head rotated by azimuth, elevation and roll, in this order, in the body."""
     count = len(columns["time"])
-    camera = _told(columns, size) if given is None else for_each(_given(path, given, size), count)
+    camera = _camera_of(columns, size) if given is None else for_each(_given(path, given, size), count)
     turn = 2.0 * np.pi
     limits = np.array([[-turn, turn], [-np.pi, np.pi], [-np.pi, np.pi]])
     gimbal = Gimbal.three_axis(limits=limits, reference="body")
@@ -66,14 +66,14 @@ def lens_errors(numbers: Numbers, sensor: Sensor) -> tuple[InteriorOrientation, 
     sigma = np.stack([shares * focal, np.zeros(len(focal)), np.zeros(len(focal))], axis=-1)
     kinds = [] if is_derived.all() else [f"{100.0 * TOLD_SIGMA:g} % by fields of view in the packets"]
     kinds += [f"{100.0 * DERIVED_SIGMA:g} % by target width and slant range"] if is_derived.any() else []
-    told = (
-        f"Focal lengths err by {', '.join(kinds)} (standard deviation); the principal point has no error of its own, "
-        f"as the angles are those of the middle of the image."
+    note = (
+        f"Focal length sigma: {', '.join(kinds)}; the principal point has no error of its own, as the angles are those "
+        f"of the middle of the image."
     )
-    return jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(sigma)), told
+    return jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(sigma)), note
 
 
-def _told(columns: Columns, size: tuple[int, int]) -> FrameCamera:
+def _camera_of(columns: Columns, size: tuple[int, int]) -> FrameCamera:
     """The cameras of n packets from their fields of view."""
     half = np.array(size) / 2.0
     focal = half / np.tan(0.5 * np.stack([columns["field_across"], columns["field_down"]], axis=-1))

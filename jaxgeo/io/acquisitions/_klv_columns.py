@@ -134,14 +134,14 @@ def _fields_of_view(
     The target width spans the middle row of the image at the slant range: across = 2 atan(width / (2 range)).
     """
 
-    def told(tag: int) -> np.ndarray:
+    def values_of(tag: int) -> np.ndarray:
         angle = np.radians(numbers(tag))
         return np.where((angle > 0.0) & (angle < np.pi), angle, np.nan)
 
     width = _first(numbers(96), numbers(22))
     derived = 2.0 * np.arctan(0.5 * np.where(width > 0.0, width, np.nan) / slant_range)
     derived = np.where(derived < np.pi, derived, np.nan)
-    own = [told(16), told(17)]
+    own = [values_of(16), values_of(17)]
     silent = np.array([16 not in one and 17 not in one for one in values], bool)
     known = np.isfinite(own[0]) | np.isfinite(own[1])
     source = _last_before(silent, time)

@@ -38,7 +38,7 @@ def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> 
         if not which.any():
             continue
         rows = np.flatnonzero(which)
-        reasons = _sentinels_told(numbers, tags, which)
+        reasons = _sentinel_notes(numbers, tags, which)
         if 5 in tags and any(64 in values[int(row)] for row in rows):
             reasons.append("the magnetic heading (tag 64) is there, but not the declination that makes it a true one")
         if 16 in tags and not np.isfinite(numbers.columns["time"][rows]).all():
@@ -49,7 +49,7 @@ def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> 
     return notes
 
 
-def _sentinels_told(numbers: Numbers, tags: tuple[int, ...], which: np.ndarray) -> list[str]:
+def _sentinel_notes(numbers: Numbers, tags: tuple[int, ...], which: np.ndarray) -> list[str]:
     """Why items with these tags are unknown in some packets, by their sentinels."""
     found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
     hits = [found[tag][row] for tag in tags for row in found[tag] if row < len(which) and which[row]]
@@ -61,7 +61,7 @@ def times_unknown(numbers: Numbers, usable: np.ndarray) -> list[str]:
     which = usable & ~np.isfinite(numbers.columns["time"])
     if not which.any():
         return []
-    reasons = "".join(f"; {one}" for one in _sentinels_told(numbers, (2,), which))
+    reasons = "".join(f"; {one}" for one in _sentinel_notes(numbers, (2,), which))
     return [
         f"The time of {which.sum()} of {usable.sum()} packets is unknown{reasons}. It is set to zero; no line of sight "
         f"depends on it."
@@ -99,7 +99,7 @@ def assumed(
             f"{(~from_msl).sum()} packets have heights above the ellipsoid, so height_datum was not used there."
         )
     if not upright and not np.isfinite(columns["turn"]).all():
-        notes.append("The roll of the sensor (tag 20) is not told everywhere: zero, the top of the image up.")
+        notes.append("The roll of the sensor (tag 20) is not given everywhere: zero, the top of the image up.")
     notes += (
         ["The camera is the one given, not that of the packets, and has no error."]
         if is_given
@@ -129,7 +129,7 @@ def _fields_of_view(numbers: Numbers) -> list[str]:
     if derived.any():
         angle = np.degrees(np.median(across[derived]))
         notes.append(
-            f"The field of view of {derived.sum()} packets is not told; it is from target width and slant range, "
+            f"The field of view of {derived.sum()} packets is not given; it is from target width and slant range, "
             f"2 atan(width / (2 range)): {angle:.3g} deg across (median). It moves pixels away from the middle only."
         )
     if not np.isfinite([across, down]).all():
@@ -139,15 +139,15 @@ def _fields_of_view(numbers: Numbers) -> list[str]:
 
 def facts(values: Values, columns: Columns, count: int) -> dict[str, str]:
     """Facts of the file for display."""
-    told = {"packets": f"{count}, of which {len(values)} make exposures"}
+    found = {"packets": f"{count}, of which {len(values)} make exposures"}
     known = columns["time"][np.isfinite(columns["time"])]
     ends = [
         datetime.datetime.fromtimestamp(time, datetime.UTC).isoformat(sep=" ", timespec="milliseconds")
         for time in ((known.min(), known.max()) if known.size else ())
     ]
-    told["times"] = " to ".join(ends) or "unknown"
+    found["times"] = " to ".join(ends) or "unknown"
     for tag in TEXTS:
         texts = dict.fromkeys(str(one[tag]) for one in values if one.get(tag) not in (None, "", b""))
         if texts:
-            told[label(tag)] = ", ".join(texts)
-    return told
+            found[label(tag)] = ", ".join(texts)
+    return found

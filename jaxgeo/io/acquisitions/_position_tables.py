@@ -114,8 +114,8 @@ def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
     no_time = any(sentinel_of(MARKS, "time", row) for row in rows)
     sigma = np.array([[row["sigma north"], row["sigma east"], row["sigma up"]] for row in rows])
     weeks, tows = (np.array([row[name] for row in rows]) for name in ("week", "time of week"))
-    told = ["Positions are the camera's, as DJI has moved them from the antenna, taken to be of WGS 84."]
-    told += [f"{len(unknown)} marks have no position and are left out: {_some(unknown)}."] if unknown else []
+    notes = ["Positions are the camera's, as DJI has moved them from the antenna, taken to be of WGS 84."]
+    notes += [f"{len(unknown)} marks have no position and are left out: {_some(unknown)}."] if unknown else []
     return PositionTable(
         path=os.fspath(path),
         form="DJI marks of photos",
@@ -125,7 +125,7 @@ def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
         has_heights=True,
         sigma=None if no_sigma else sigma,
         time=None if no_time else GPS_EPOCH + WEEK * weeks + tows - LEAP_SECONDS,
-        assumed=tuple(told),
+        assumed=tuple(notes),
     )
 
 
@@ -166,10 +166,10 @@ def _of_geo(path: Any, height_datum: Any, crs: Any) -> PositionTable:
         header += ["horizontal", "vertical"]
         cells = [[*row, *words[7:9]] for row, (_, words) in zip(cells, rows, strict=True)]
     table = CsvTable(path, header, [i for i, _ in rows], cells)
-    told = ("Angles in the file are not read: OpenDroneMap does not say what they are against.",)
+    notes = ("Angles in the file are not read: OpenDroneMap does not say what they are against.",)
     return _of_columns(
         Columns(table, {name: name for name in header}), "OpenDroneMap geo.txt", height_datum,
-        projection_text(projection), told if True in has_angles else (),
+        projection_text(projection), notes if True in has_angles else (),
     )  # fmt: skip
 
 
@@ -178,7 +178,7 @@ def _of_table(path: Any, height_datum: Any, crs: Any) -> PositionTable:
     return _of_columns(columns, "table of positions", height_datum, crs_of(columns, crs))
 
 
-def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, told: tuple[str, ...] = ()) -> PositionTable:
+def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, notes: tuple[str, ...] = ()) -> PositionTable:
     """Positions by column names; without heights if there is no such column."""
     path = columns.table.path
     in_map = "x_m" in columns and (crs is not None or "lat_deg" not in columns)
@@ -205,7 +205,7 @@ def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, told: 
         position=Geodetic(lat=position.lat, lon=position.lon, height=height),
         has_heights=has_heights,
         sigma=sigma,
-        assumed=(*told, *of_sigma),
+        assumed=(*notes, *of_sigma),
     )
 
 
@@ -219,8 +219,8 @@ def _sigma(columns: Columns) -> tuple[np.ndarray | None, list[str]]:
     across, up = (columns.numbers(name, (0.0, 1e6, "m"), unknown_too=True) for name in ("horizontal", "vertical"))
     if not (np.all(across > 0.0) and np.all(up > 0.0)):
         return None, ["Accuracies in the file are zero or unknown, and not taken."]
-    told = ["The horizontal accuracy is that north and east, the vertical one that of height: standard deviations."]
-    return np.stack([across, across, up], axis=-1), told
+    notes = ["The horizontal accuracy is that north and east, the vertical one that of height: standard deviations."]
+    return np.stack([across, across, up], axis=-1), notes
 
 
 def _check_place(path: Any, lat: np.ndarray, lon: np.ndarray, height: np.ndarray) -> None:

@@ -168,8 +168,8 @@ def check_one_size(path: Any, cameras: Cameras, taken_by: np.ndarray) -> None:
         raise TableError(f"{path}: images are of camera {unknown[0]!r}, but known are {', '.join(cameras) or 'none'}.")
     sizes = {name: (cameras[name].width, cameras[name].height) for name in used}
     if len(set(sizes.values())) > 1:
-        told = ", ".join(f"{name!r} {width} x {height}" for name, (width, height) in sizes.items())
-        raise TableError(f"{path}: images are of cameras of several sizes: {told}; choose one with camera=.")
+        each = ", ".join(f"{name!r} {width} x {height}" for name, (width, height) in sizes.items())
+        raise TableError(f"{path}: images are of cameras of several sizes: {each}; choose one with camera=.")
 
 
 def sensor_of(cameras: Cameras, taken_by: np.ndarray) -> Sensor:

@@ -143,7 +143,7 @@ def _of_scene(path: str | os.PathLike[str]) -> Acquisition:
         sensor=for_each(scene.sensor, 1),
         shots=for_each(jax.tree.map(np.asarray, scene.shot), 1),
         sources=for_each(sources, 1),
-        assumed=() if sources else ("The scene has no table [errors], and so says nothing of how it errs.",),
+        assumed=() if sources else ("The scene has no table [errors]: no accuracies are given.",),
         facts={"title": scene.title} if scene.title else {},
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import Limits
-from jaxgeo.io.acquisitions._given_angles import angles_given, checked_angles, given_told
+from jaxgeo.io.acquisitions._given_angles import angles_given, checked_angles, given_note
 from jaxgeo.io.acquisitions._image_cameras import GivenCamera, sensor_of_images, span_shown
 from jaxgeo.io.acquisitions._image_positions import HEIGHT, LAT, LON, altitude_shown, heights_of, lat_lon_of
 from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags
@@ -75,24 +75,24 @@ def read_drone_images(
     tags = [read_tags(path) for path in _files(paths)]
     makers = [maker_of(one, angles_are_given=given is not None) for one in tags]
     _check_alike(tags, makers)
-    maker, told = makers[0], dict[str, None]()
+    maker, notes = makers[0], dict[str, None]()
     for one in tags:
         _check_upright(one)
-        told |= dict.fromkeys(_warnings_of(one))
-    sensor, lens_errors, how = sensor_of_images(tags, maker, camera, told)
+        notes |= dict.fromkeys(_warnings_of(one))
+    sensor, lens_errors, how = sensor_of_images(tags, maker, camera, notes)
     lat, lon = lat_lon_of(tags, maker)
     height, where_from = heights_of(tags, maker, lat, lon, height_datum, takeoff_height)
-    told |= dict.fromkeys(where_from)
-    time, is_utc = _times(tags, told)
-    stated, errors = _position_errors(tags, maker, told, by_barometer=takeoff_height is not None)
+    notes |= dict.fromkeys(where_from)
+    time, is_utc = _times(tags, notes)
+    stated, errors = _position_errors(tags, maker, notes, by_barometer=takeoff_height is not None)
     position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
     angles = [angles_of(one, maker) if given is None else angles_given(one, given) for one in tags]
     readings = np.deg2rad(np.array(angles, np.float64))
-    shots = Shot(_pose(tags, maker, position, told), readings, time)
+    shots = Shot(_pose(tags, maker, position, notes), readings, time)
     first = tags[0]
     if given is not None:
-        told |= {given_told(given): None}
-    told |= dict.fromkeys((POSITIONS, "Yaw is taken to be from true north.", NO_ANGLES))
+        notes |= {given_note(given): None}
+    notes |= dict.fromkeys((POSITIONS, "Yaw is taken to be from true north.", NO_ANGLES))
     return Acquisition(
         path=os.fspath(paths) if isinstance(paths, str | os.PathLike) else _shown([one.path for one in tags]),
         form=maker.form,
@@ -100,7 +100,7 @@ def read_drone_images(
         sensor=sensor,
         shots=shots,
         sources=(*stated, *lens_errors),
-        assumed=tuple(told),
+        assumed=tuple(notes),
         facts={
             "camera": " ".join(first.camera).strip() or "not said",
             "image size": f"{first.width} x {first.height} pixels",
@@ -164,60 +164,60 @@ def _check_upright(tags: ImageTags) -> None:
 
 def _warnings_of(tags: ImageTags) -> list[str]:
     """Properties stated in the file that are not modelled."""
-    told = []
+    notes = []
     if tags.text("drone-dji:ShutterType").lower().startswith(("electronic", "rolling")):
-        told.append(
+        notes.append(
             "The shutter is electronic: that rows are exposed one after another is not allowed for, and not among the "
             "errors; it is some 0.3 m along the flight at 10 m/s."
         )
     for name in ("drone-dji:GimbalReverse", "drone-dji:CamReverse"):
         if tags.text(name) not in ("", "0"):
-            told.append(f"The camera hangs upside down ({name} {tags.text(name)}): its angles are taken as written.")
+            notes.append(f"The camera hangs upside down ({name} {tags.text(name)}): its angles are taken as written.")
     for quantity in ("height", "focal length", "focal length for 35 mm film", "calibration", "time"):
         if reason := tags.unknown(quantity):
-            told.append(f"Not used: {reason}.")
-    return told
+            notes.append(f"Not used: {reason}.")
+    return notes
 
 
-def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bool]:
-    found = [_time(one, told) for one in tags]
+def _times(tags: list[ImageTags], notes: dict[str, None]) -> tuple[np.ndarray, bool]:
+    found = [_time(one, notes) for one in tags]
     if any(time is None for time, _ in found):
-        told |= {"The time of an image, or of all, is not in the file; it is set to zero.": None}
+        notes |= {"The time of an image, or of all, is not in the file; it is set to zero.": None}
         return np.array([0.0 if time is None else time for time, _ in found]), False
     is_utc = all(utc for _, utc in found)
     if not is_utc:
-        told |= {"Times are by the camera's clock, whose time zone is not said.": None}
+        notes |= {"Times are by the camera's clock, whose time zone is not said.": None}
     if not is_utc and any(utc for _, utc in found):
         raise TableError(f"{tags[0].path}: some of the images tell their time in UTC and some do not; read them apart.")
     return np.array([time for time, _ in found]), is_utc
 
 
-def _time(tags: ImageTags, told: dict[str, None]) -> tuple[float | None, bool]:
+def _time(tags: ImageTags, notes: dict[str, None]) -> tuple[float | None, bool]:
     """As `time_of`; an unreadable time is only reported, since no line of sight depends on it."""
     try:
         return time_of(tags)
     except TableError as error:
-        told |= {f"Not used: {str(error).removeprefix(tags.path).lstrip(', ')}": None}
+        notes |= {f"Not used: {str(error).removeprefix(tags.path).lstrip(', ')}": None}
         return None, False
 
 
 def _position_errors(
-    tags: list[ImageTags], maker: Maker, told: dict[str, None], *, by_barometer: bool
+    tags: list[ImageTags], maker: Maker, notes: dict[str, None], *, by_barometer: bool
 ) -> tuple[tuple[Position, ...], str]:
     """(position errors, as text). Images that state none get the default ones if others state theirs."""
     sigma = np.array([_stated_sigma(one, maker) for one in tags])
     stated = np.all(sigma > 0.0, axis=1)
     if not np.any(stated):
-        told |= {"How well the positions are known is not said by the files.": None}
+        notes |= {"How well the positions are known is not said by the files.": None}
         return (), "not said"
     if by_barometer:
-        told |= {"The errors of position in the files are not taken: they are not of a barometer's heights.": None}
+        notes |= {"The errors of position in the files are not taken: they are not of a barometer's heights.": None}
         return (), "not said"
     words = f"{', '.join(span_shown(column, '.3g') for column in sigma[stated].T)} m ({AXES})"
     if not np.all(stated):
         sigma[~stated] = POSITION
         count, usual = f"{int(np.sum(~stated))} of {len(tags)} images", ", ".join(f"{value:g}" for value in POSITION)
-        told |= {f"{count} do not say how well their positions are known: these err by {usual} m ({AXES}).": None}
+        notes |= {f"{count} state no position accuracy; position sigma there: {usual} m ({AXES}; default).": None}
         words += f"; {count} do not say it"
     return (jax.tree.map(np.asarray, jax.vmap(Position)(sigma)),), words
 
@@ -228,10 +228,10 @@ def _stated_sigma(tags: ImageTags, maker: Maker) -> list[float]:
     return [0.0] * 3 if unknown else [tags.number(name, SIGMA) or 0.0 for name in maker.sigma]
 
 
-def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, told: dict[str, None]) -> Pose:
+def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, notes: dict[str, None]) -> Pose:
     found = [aircraft_of(one, maker) for one in tags]
     if any(None in one for one in found):
-        told |= {"The attitude of the aircraft is not said; it is set level, and has no part in lines of sight.": None}
+        notes |= {"The attitude of the aircraft is not said; it is set level, and has no part in lines of sight.": None}
         found = [[0.0, 0.0, 0.0]] * len(tags)
     heading, pitch, roll = np.deg2rad(np.array(found, np.float64)).T
     return Pose(position, heading, pitch, roll)

@@ -71,14 +71,14 @@ def read_metashape_cameras(
     R_ecef_from_camera, centres = map(np.array, zip(*poses, strict=True))
     _check_on_earth(path, centres)
     unaligned = sum(one.find("transform") is None for one in chunk.iter("camera"))
-    told = [f"{unaligned} cameras are not aligned and are left out."] if unaligned else []
+    notes = [f"{unaligned} cameras are not aligned and are left out."] if unaligned else []
     return Acquisition(
         path=os.fspath(path),
         form=FORM,
         names=np.array([labels[row] for row in rows]),
         sensor=sensor_of(cameras, taken_by[rows]),
         shots=shots_of(_pose(R_ecef_from_camera, centres)),
-        assumed=(WGS84_TAKEN, NO_ERRORS, AS_READ, NO_TIMES, *told),
+        assumed=(WGS84_TAKEN, NO_ERRORS, AS_READ, NO_TIMES, *notes),
         facts={"images": f"{len(rows)} of {len(aligned) + unaligned}", "cameras": ", ".join(cameras)},
     )
 

@@ -77,7 +77,7 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
         sources=others,
         reported=reported,
         tags=tuple(found.tags[k] for k in kept) if found.tags else (),
-        assumed=(*_of_images(found, table), *table.assumed, *_told(found, table, kept, pick)),
+        assumed=(*_of_images(found, table), *table.assumed, *_notes(found, table, kept, pick)),
         facts={**found.facts, "positions": f"{table.form}, {len(kept)} of {len(found)} images, by {by}"},
     )
 
@@ -145,7 +145,7 @@ def _stem(name: str) -> str:
 def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
     if table.time is None or not found.time_is_utc:
         raise TableError(
-            f"{table.path}: photos are told by number and time, but {found.path} has no numbers of four digits in its "
+            f"{table.path}: photos match by number and time, but {found.path} has no numbers of four digits in its "
             f"names, and no times in UTC."
         )
     apart = np.abs(np.asarray(found.shots.time)[:, None] - table.time[None, :])
@@ -195,20 +195,20 @@ def _of_images(found: Acquisition, table: PositionTable) -> list[str]:
     return [one for one in found.assumed if not one.startswith(tuple(gone))]
 
 
-def _told(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> list[str]:
-    told = [] if table.has_heights else [f"{os.path.basename(table.path)} has no heights: those of the images stay."]
+def _notes(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> list[str]:
+    notes = [] if table.has_heights else [f"{os.path.basename(table.path)} has no heights: those of the images stay."]
     if table.sigma is None:
-        told.append(f"How well the positions are known is not said by {os.path.basename(table.path)}.")
+        notes.append(f"How well the positions are known is not said by {os.path.basename(table.path)}.")
     missing = [str(name) for k, name in enumerate(found.names) if k not in set(kept.tolist())]
     if missing:
-        told.append(
+        notes.append(
             f"{len(missing)} of {len(found)} images are not in {os.path.basename(table.path)} and are left out: "
             f"{_some(np.array(missing))}."
         )
     spare = len(np.asarray(table.position.lat)) - len(set(rows.tolist()))
     if spare:
-        told.append(f"{spare} rows of {os.path.basename(table.path)} are of no image here.")
-    return told
+        notes.append(f"{spare} rows of {os.path.basename(table.path)} are of no image here.")
+    return notes
 
 
 def _some(names: np.ndarray) -> str:

@@ -45,10 +45,10 @@ def compare_reported(acquisition: Acquisition) -> Comparison:
     if acquisition.sensor is None or acquisition.reported is None:
         missing = "no camera" if acquisition.sensor is None else "no centres of images"
         raise ValueError(f"{acquisition.path}: there is {missing} to compare with.")
-    told = acquisition.reported
-    found = _apart(acquisition.sensor, acquisition.shots, told.centre, _corners(acquisition))
+    stated = acquisition.reported
+    found = _apart(acquisition.sensor, acquisition.shots, stated.centre, _corners(acquisition))
     distance, *rest = (np.asarray(x) for x in found)
-    return Comparison(told.slant_range - distance, *rest)
+    return Comparison(stated.slant_range - distance, *rest)
 
 
 def _corners(acquisition: Acquisition) -> np.ndarray:
@@ -80,13 +80,13 @@ def _apart(sensor: Sensor, shot: Shot, centre: Geodetic, corners: jax.Array) -> 
     comes_down = axis_enu[2] * centre_enu[2] > 0.0
     reach = centre_enu[2] / jnp.where(comes_down, axis_enu[2], 1.0)
     miss = jnp.where(comes_down, reach * axis_enu - centre_enu, jnp.nan)
-    (azimuth, elevation), (told_azimuth, told_elevation) = (
+    (azimuth, elevation), (stated_azimuth, stated_elevation) = (
         _angles(R_ned_from_ecef @ direction) for direction in (axis, to_centre)
     )
-    across = _wrapped(azimuth - told_azimuth) * jnp.cos(told_elevation)
+    across = _wrapped(azimuth - stated_azimuth) * jnp.cos(stated_elevation)
     turn = _turn(sensor, sight, Geodetic(lat=corners[:, 0], lon=corners[:, 1], height=centre.height))
     distance = jnp.where(jnp.all(jnp.isfinite(to_centre)), safe_norm(to_centre), jnp.nan)  # `safe_norm` of NaN is zero
-    return distance, miss[0], miss[1], across, elevation - told_elevation, turn
+    return distance, miss[0], miss[1], across, elevation - stated_elevation, turn
 
 
 def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:
@@ -100,8 +100,8 @@ def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:
     places = jax.vmap(
         lambda lat, lon: sight.to_camera(WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=corners.height)))
     )
-    own, told = (_about_middle(one) for one in (rays, places(corners.lat, corners.lon)))
-    return jnp.arctan2(jnp.sum(own[:, 0] * told[:, 1] - own[:, 1] * told[:, 0]), jnp.sum(own * told))
+    own, other = (_about_middle(one) for one in (rays, places(corners.lat, corners.lon)))
+    return jnp.arctan2(jnp.sum(own[:, 0] * other[:, 1] - own[:, 1] * other[:, 0]), jnp.sum(own * other))
 
 
 def _about_middle(p_camera: jax.Array) -> jax.Array:

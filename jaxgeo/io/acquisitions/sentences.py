@@ -8,14 +8,14 @@ from collections.abc import Sequence
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
-def told_once(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:
+def merged_sentences(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:
     """The sentences of several files without repetition, in order of first occurrence.
 
     A sentence that does not apply to all files has the number of those it applies to. Of sentences that differ only in
     their numbers, the first represents all.
 
-    >>> from jaxgeo.io.acquisitions.sentences import told_once
-    >>> print(*told_once([["Scaled by 0.5.", "Level."], ["Scaled by 0.25."], []], "file"), sep="\\n")
+    >>> from jaxgeo.io.acquisitions.sentences import merged_sentences
+    >>> print(*merged_sentences([["Scaled by 0.5.", "Level."], ["Scaled by 0.25."], []], "file"), sep="\\n")
     Scaled by 0.5. (2 of 3 files, other numbers in some)
     Level. (1 of 3 files)
     """
@@ -23,10 +23,10 @@ def told_once(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:
     for sentences in each:
         for one in dict.fromkeys(sentences):
             groups.setdefault(_NUMBER.sub("0", one), []).append(one)
-    told, total = [], len(each)
+    merged, total = [], len(each)
     for group in groups.values():
         differs = len(set(group)) > 1
         holds = f"{min(len(group), total)} of {total} {noun}s" if differs or len(group) < total else ""
         note = f" ({holds}{', other numbers in some' if differs else ''})" if holds else ""
-        told.append(f"{group[0]}{note}")
-    return tuple(told)
+        merged.append(f"{group[0]}{note}")
+    return tuple(merged)

@@ -18,7 +18,7 @@ from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, WrongOption, check
 from jaxgeo.io.acquisitions.drone_images import ENDINGS
 from jaxgeo.io.acquisitions.positions import check_one_flight
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum
-from jaxgeo.io.acquisitions.sentences import told_once
+from jaxgeo.io.acquisitions.sentences import merged_sentences
 from jaxgeo.io.errors import ImageError, TableError, VerticalDatumError
 
 Path = str | os.PathLike[str]
@@ -115,11 +115,11 @@ def read_acquisitions(
     if how.get("positions") is not None and len(images) > 1:
         datum = how.get("height_datum") or "ellipsoid"
         check_one_flight(images, read_positions(how["positions"], height_datum=datum, crs=how.get("crs")))
-    told = told_once([one.assumed for one in found], "file")
+    notes = merged_sentences([one.assumed for one in found], "file")
     found = with_file_names(found) if len(files) > 1 else found
     places = [start + np.arange(len(one)) for start, one in zip(starts, found, strict=True)]
     parts, where = merged(found, places)
-    return AcquisitionSet(parts, where, tuple(unread), (*told, *left_out))
+    return AcquisitionSet(parts, where, tuple(unread), (*notes, *left_out))
 
 
 def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
@@ -131,7 +131,7 @@ def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
     if not names:
         raise TableError("paths: no file is named.")
     found: dict[str, str] = {}
-    told = []
+    notes = []
     for name in [os.fspath(one) for one in names]:
         if not os.path.exists(name):
             raise FileNotFoundError(f"{name}: there is no such file.")
@@ -141,8 +141,8 @@ def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
         if others:
             endings = ", ".join(sorted({pathlib.Path(one).suffix.lower() or "no ending" for one in others})[:5])
             count = f"{len(others)} other file{'s' if len(others) != 1 else ''}"
-            told.append(f"{name}: only its JPEG and TIFF images are read; {count} ({endings}) left out.")
-    return list(found.values()), told
+            notes.append(f"{name}: only its JPEG and TIFF images are read; {count} ({endings}) left out.")
+    return list(found.values()), notes
 
 
 def merged(
@@ -218,7 +218,7 @@ def _joined(found: list[Acquisition]) -> Acquisition:
         sensor=sensor,
         shots=shots,
         sources=sources,
-        assumed=told_once([one.assumed for one in found], "file"),
+        assumed=merged_sentences([one.assumed for one in found], "file"),
         facts=_facts(found),
         reported=_reported(found),
         tags=tuple(tags for one in found for tags in (one.tags or [{}] * len(one))) if has_tags else (),
@@ -230,12 +230,14 @@ def _joined(found: list[Acquisition]) -> Acquisition:
 def _facts(found: list[Acquisition]) -> dict[str, str]:
     """Each fact once; if it differs between files, the first value and the number of others."""
     names = dict.fromkeys(name for one in found for name in one.facts)
-    told = {}
+    merged = {}
     for name in names:
         values = list(dict.fromkeys(one.facts[name] for one in found if name in one.facts))
         more = len(values) - 1
-        told[name] = values[0] + (f"; and {more} other value{'s' if more != 1 else ''} in other files" if more else "")
-    return told
+        merged[name] = values[0] + (
+            f"; and {more} other value{'s' if more != 1 else ''} in other files" if more else ""
+        )
+    return merged
 
 
 def _reported(found: list[Acquisition]) -> Reported | None:

@@ -88,8 +88,8 @@ def read_telemetry(
     notes += assumed(numbers, values, height_datum, None if known_size else size, upright, given is not None)
     sensor, sources = sensor_of(path, columns, size, given), ()
     if given is None:
-        source, told = lens_errors(numbers, sensor)
-        sources, notes = (source,), [*notes, told]
+        source, note = lens_errors(numbers, sensor)
+        sources, notes = (source,), [*notes, note]
     return Acquisition(
         path=os.fspath(path),
         form=FORM,
@@ -135,11 +135,11 @@ def _other_content(data: bytes) -> str:
 
 def _heights(columns: Columns, prefix: str, datum: str | float | None) -> np.ndarray:
     """Heights above the ellipsoid: as stated, else from those above mean sea level."""
-    told, msl = columns[f"{prefix}height"], columns[f"{prefix}height_msl"]
+    own, msl = columns[f"{prefix}height"], columns[f"{prefix}height_msl"]
     lon_deg, lat_deg = np.degrees(columns[f"{prefix}lon"]), np.degrees(columns[f"{prefix}lat"])
-    msl = np.where(np.isfinite(told), np.nan, msl)
+    msl = np.where(np.isfinite(own), np.nan, msl)
     return np.where(
-        np.isfinite(told), told, ellipsoidal_heights(lon_deg, lat_deg, msl, EGM96 if datum is None else datum)
+        np.isfinite(own), own, ellipsoidal_heights(lon_deg, lat_deg, msl, EGM96 if datum is None else datum)
     )
 
 

@@ -64,16 +64,16 @@ def _chosen(path: str | os.PathLike[str], data: dict[int, bytes], stream: int | 
         if stream not in data:
             raise TableError(f"{path}: stream={stream} is no data stream; those are {_listed(data)}.")
         return stream
-    told = [index for index, content in data.items() if UAS_LOCAL_SET in content]
-    if not told:
+    ours = [index for index, content in data.items() if UAS_LOCAL_SET in content]
+    if not ours:
         others = dict.fromkeys(words for content in data.values() for words in other_sets(content))
         held = f"they hold {' and '.join(others)}" if others else "they hold none"
         raise TableError(
             f"{path}: no packets of MISB ST 0601 in this transport stream; data streams: {_listed(data)}; {held}."
         )
-    if len(told) > 1:
-        raise TableError(f"{path}: streams {_listed(told)} hold packets of MISB ST 0601; choose one with stream=.")
-    return told[0]
+    if len(ours) > 1:
+        raise TableError(f"{path}: streams {_listed(ours)} hold packets of MISB ST 0601; choose one with stream=.")
+    return ours[0]
 
 
 def _listed(indices: Any) -> str:

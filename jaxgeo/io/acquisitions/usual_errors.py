@@ -26,8 +26,8 @@ def with_usual_errors(found: Acquisition) -> Acquisition:
     """
     made = usual_errors_of(found)
     added = tuple(for_each(source, len(found)) for source, _ in made)
-    told = (*found.assumed, *(sentence for _, sentence in made))
-    return dataclasses.replace(found, sources=(*found.sources, *added), assumed=told)
+    notes = (*found.assumed, *(sentence for _, sentence in made))
+    return dataclasses.replace(found, sources=(*found.sources, *added), assumed=notes)
 
 
 def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
@@ -39,8 +39,8 @@ def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
 
 def _position() -> tuple[AbstractSource, str]:
     north, east, down = POSITION
-    told = f"Position sigma: {north:g}, {east:g}, {down:g} m (N, E, D; default)."
-    return Position.from_ned(north=north, east=east, down=down), told
+    note = f"Position sigma: {north:g}, {east:g}, {down:g} m (N, E, D; default)."
+    return Position.from_ned(north=north, east=east, down=down), note
 
 
 def _angles(found: Acquisition) -> list[tuple[AbstractSource, str]]:
@@ -49,11 +49,11 @@ def _angles(found: Acquisition) -> list[tuple[AbstractSource, str]]:
     made: list[tuple[AbstractSource, str]] = []
     if not is_level:
         heading, pitch, roll = (LEVEL["yaw"], LEVEL_ELSE, LEVEL_ELSE) if found.form in OF_DRONES else ATTITUDE
-        told = f"Attitudes err by {heading:g}, {pitch:g}, {roll:g} deg (heading, pitch, roll)."
-        made.append((Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll), told))
+        note = f"Attitude sigma: {heading:g}, {pitch:g}, {roll:g} deg (heading, pitch, roll; default)."
+        made.append((Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll), note))
     if gimbal is not None and gimbal.names:
         sigma: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) if is_level else READINGS for name in gimbal.names}
         figures = ", ".join(f"{value:g}" for value in sigma.values())
-        told = f"Angles of the gimbal err by {figures} deg ({', '.join(sigma)})."
-        made.append((GimbalAngles.from_degrees(**sigma), told))
+        note = f"Gimbal angle sigma: {figures} deg ({', '.join(sigma)}; default)."
+        made.append((GimbalAngles.from_degrees(**sigma), note))
     return made

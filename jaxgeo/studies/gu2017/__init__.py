@@ -7,9 +7,10 @@ from jaxgeo.studies.gu2017.fixes import Fixes, Spread, fixes_of, lattice, spread
 from jaxgeo.studies.gu2017.flow import Flow, Run, flow, one_run
 from jaxgeo.studies.gu2017.frames import Frame, frames
 from jaxgeo.studies.gu2017.given import read
-from jaxgeo.studies.gu2017.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.gu2017.report import Report, run
 from jaxgeo.studies.gu2017.scene import Imaged, made, navigation
 from jaxgeo.studies.gu2017.searching import Searched, searches
+from jaxgeo.studies.study_report import sheets_of, write_pictures, write_tables
 
 __all__ = [
     "Accuracy",

@@ -101,8 +101,8 @@ def _rms(sensor: Sensor, shot: Shot, terrain: Dem, ties: TiePoints, case: Case, 
             sources.CameraMounting.from_degrees(forward=angle, right=angle, down=angle),
         )
     )
-    told = TieErrors(registration=case.registration, terrain=case.terrain)
-    found = update_orientation(sensor, shot, ties, terrain, errors, told, propagation=how)
+    tie_errors = TieErrors(registration=case.registration, terrain=case.terrain)
+    found = update_orientation(sensor, shot, ties, terrain, errors, tie_errors, propagation=how)
     middle = (0.5 * (WIDTH - 1), 0.5 * (WIDTH - 1))
     return pose_rms(found.fix(middle, case.terrain))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxgeo.register import Orthoimage
+from jaxgeo.ortho import Orthoimage
 from jaxgeo.register.gu2017 import Case, Row, error_table
 from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.studies.gu2017 import intervals, printed
@@ -109,9 +109,9 @@ def _orders(number: int, row: Row) -> Claim:
     direct, updated = (float(x) for x in row.rms)
     gain, case = math.log10(direct / updated), row.case
     item, statement = f"Table 1, case {number}", "updated errors two orders of magnitude below direct ones"
-    told = f"{direct:.1f} and {updated:.1f} m: {gain:.2f} orders ({case.position:g} m, {case.attitude_deg:g} deg)."
+    figures = f"{direct:.1f} and {updated:.1f} m: {gain:.2f} orders ({case.position:g} m, {case.attitude_deg:g} deg)."
     if gain >= printed.ORDERS:
-        return _holds(item, statement, True, TABLE, told)
+        return _holds(item, statement, True, TABLE, figures)
     times = 10.0 ** (printed.ORDERS - gain)
     worse = Case(times * case.position, times * case.attitude_deg, case.terrain, case.registration)
     again = error_table((worse,))[0]
@@ -120,7 +120,7 @@ def _orders(number: int, row: Row) -> Claim:
         f"what the update leaves is of terrain and registration alone: two orders need a navigation {times:.2g} times "
         f"worse, {worse.position:.0f} m and {worse.attitude_deg:.2f} deg"
     )
-    return _holds(item, statement, False, TABLE, told, Explanation(cause, reached, printed.ORDERS, 0.05))
+    return _holds(item, statement, False, TABLE, figures, Explanation(cause, reached, printed.ORDERS, 0.05))
 
 
 # ------------------------------------------------------------------------------- circles, searches of 3 sigma
@@ -187,7 +187,7 @@ def _end_to_end(found: Flow) -> list[Claim]:
     accepted = [run for run in found.runs if run.after is not None]
     known = [run for run in accepted if run.after is not None and run.after.ce90 is not None]
     pairs = [(run.before.ce90, run.after.ce90) for run in known if run.after is not None]
-    told = "; ".join(f"{before:.0f} to {after:.1f} m" for before, after in pairs if before and after)
+    figures = "; ".join(f"{before:.0f} to {after:.1f} m" for before, after in pairs if before and after)
     improved = [before is not None and after is not None and after < before for before, after in pairs]
     claims = [
         _holds(
@@ -195,7 +195,7 @@ def _end_to_end(found: Flow) -> list[Claim]:
             "rectified, matched, updated and fixed again, each image ends nearer to the truth",
             len(accepted) == len(found.runs) and all(improved),
             REGISTER,
-            f"{len(accepted)} of {len(found.runs)} registered; 90 % of fixes within, before and after: {told}.",
+            f"{len(accepted)} of {len(found.runs)} registered; 90 % of fixes within, before and after: {figures}.",
         ),
         Claim(
             PAPER,
@@ -214,7 +214,7 @@ def _end_to_end(found: Flow) -> list[Claim]:
                 "fixes better than 100 m at a large angle off nadir",
                 all(after is not None and after < printed.BETTER_THAN for _, after in pairs),
                 REGISTER,
-                f"65 deg off nadir, 90 % of fixes: {told}.",
+                f"65 deg off nadir, 90 % of fixes: {figures}.",
             )
         )
     if found.registered is not None:
@@ -224,7 +224,7 @@ def _end_to_end(found: Flow) -> list[Claim]:
                 "Fig. 4",
                 "rectified after the update, every detail lies nearer to the map (c) than before (b)",
                 after > before,
-                "jaxgeo.register.rectify",
+                "jaxgeo.ortho.rectify",
                 f"Correlation with the map cell by cell: {before:.3f} before, {after:.3f} after; the photographs "
                 "themselves were not published.",
             )
@@ -251,7 +251,7 @@ def _searches(found: Sequence[Searched]) -> list[Claim]:
     pairs = _pairs(found)
     claims = [_share_within(found)]
     ratios = {near.sought.name: whole.cells / near.cells for near, whole in pairs}
-    told = ", ".join(f"{name} {ratio:.1f}" for name, ratio in ratios.items())
+    figures = ", ".join(f"{name} {ratio:.1f}" for name, ratio in ratios.items())
     far = [ratio for name, ratio in ratios.items() if "far off" not in name]
     claims.append(
         _holds(
@@ -259,7 +259,7 @@ def _searches(found: Sequence[Searched]) -> list[Claim]:
             f"the constraint saves much of the search: {MUCH:g} times fewer comparisons, in all scenes",
             min(ratios.values()) >= MUCH,
             MATCH,
-            f"Shifts compared without over with it: {told}; this depends on how far one would search without.",
+            f"Shifts compared without over with it: {figures}; this depends on how far one would search without.",
             Explanation("with the smaller navigation errors it does", bool(min(far) >= MUCH), True, 0.0),
         )
     )
@@ -371,7 +371,7 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
     for number, noise in enumerate(dict.fromkeys(one.noise for one in by_size)):
         rows = [one for one in by_size if one.noise == noise]
         best = min(rows, key=lambda one: one.pose)
-        told = "; ".join(
+        figures = "; ".join(
             f"{one.size}: {one.pose:.2f} ± {one.half:.2f} px, {one.ties:.0f} ties, {one.failed:.0%} failed"
             for one in rows
         )
@@ -388,7 +388,7 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
                 60.0,
                 "cells",
                 MATCH,
-                reason=f"Noise {noise:g}: {told}. {near.size} less {best.size} in the same trials: {gap:+.2f} ± "
+                reason=f"Noise {noise:g}: {figures}. {near.size} less {best.size} in the same trials: {gap:+.2f} ± "
                 f"{half:.2f} px.",
                 digits=".0f",
             )
@@ -411,14 +411,14 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
             )
         )
     rms = [one.pose for one in by_ties]
-    told = "; ".join(f"{one.ties:.0f}: {one.pose:.2f} ± {one.half:.2f} px" for one in by_ties)
+    figures = "; ".join(f"{one.ties:.0f}: {one.pose:.2f} ± {one.half:.2f} px" for one in by_ties)
     claims.append(
         _holds(
             "Section 2.3, ties",
             "the more ties, the smaller the error of the pose, from the fewest to the most",
             bool(np.all(np.diff(rms) < 0.0)),
             UPDATE,
-            told + ".",
+            figures + ".",
         )
     )
     return claims
@@ -438,7 +438,7 @@ def _frames(found: Sequence[Frame]) -> list[Claim]:
     last = {way: intervals.rms(rows[-1].position) for way, rows in by_way.items()}
     pairs = by_way[ALONE][-1].position ** 2 - by_way[CARRIED][-1].position ** 2
     gap, half = intervals.mean(list(pairs))
-    told = "; ".join(f"{way}: {one[0]:.1f} ± {one[1]:.1f} m" for way, one in last.items())
+    figures = "; ".join(f"{way}: {one[0]:.1f} ± {one[1]:.1f} m" for way, one in last.items())
     fixes = "; ".join(f"{way}: {intervals.rms(rows[-1].fix)[0]:.1f} m" for way, rows in by_way.items())
     flights = len(by_way[ALONE][-1].position)
     return [
@@ -447,7 +447,7 @@ def _frames(found: Sequence[Frame]) -> list[Claim]:
             "the method extends to sequences of images: carried over, the last position is surer than by itself",
             gap - half > 0.0,
             "jaxgeo.register.propagate_prior",
-            f"{flights} flights over {len(set(found[0].relief))} grounds. Position in the last frame {told}; mean "
+            f"{flights} flights over {len(set(found[0].relief))} grounds. Position in the last frame {figures}; mean "
             f"difference of squares {gap:.0f} ± {half:.0f} m2. Fix in the middle {fixes}.",
         )
     ]

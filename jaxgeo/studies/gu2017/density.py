@@ -66,15 +66,15 @@ def by_size(
         return [], []
     whole: dict[tuple[float, int], list[Dense]] = {(noise, size): [] for noise in noises for size in sizes}
     fewer: dict[int, list[Dense]] = {count: [] for count in COUNTS}
-    told: dict[int, np.ndarray] = {}
+    windows: dict[int, np.ndarray] = {}
     for noise, seed in itertools.product(noises, seeds):
         again = seen_again(im, seed, noise)
         rng = np.random.default_rng([seed, 9])
         shot = disturbed(im.true, rng, metres=LEFT[0], degrees=LEFT[1])
         here = mapped(again, shot, navigation(*LEFT))
         for size in sizes:
-            told.setdefault(size, allowed(here, size))
-            found = _ties(here, size, told[size])
+            windows.setdefault(size, allowed(here, size))
+            found = _ties(here, size, windows[size])
             if found.ties.count < 3:
                 continue
             whole[noise, size] += _updated(again, shot, (size, noise), found)
@@ -139,12 +139,12 @@ def _mean(rows: Sequence[Dense]) -> Dense:
     """Statistics over trials: root mean squares, and means of the rest."""
     table = np.array([[np.nan if x is None else x for x in row.spread] for row in rows], float)
     rms, sigma = (float(np.sqrt(np.mean(table[:, k] ** 2))) for k in (0, 2))
-    ce90, foretold, squares = (float(np.mean(table[:, k])) for k in (1, 3, 4))
+    ce90, predicted, squares = (float(np.mean(table[:, k])) for k in (1, 3, 4))
     each = tuple(x for row in rows for x in row.each)
     return rows[0]._replace(
         trials=len(rows),
         **{name: float(np.mean([getattr(r, name) for r in rows])) for name in AVERAGED},
-        spread=Spread(rms, ce90, sigma, foretold, squares, round(float(np.mean(table[:, 5])))),
+        spread=Spread(rms, ce90, sigma, predicted, squares, round(float(np.mean(table[:, 5])))),
         pose=mean(each)[0],
         half=mean(each)[1],
         each=each,

@@ -284,7 +284,7 @@ def _iterated(of: Inputs) -> Claim:
         if lengths[-1] < 1e-4:
             break
     left = float(np.linalg.norm(errors[:3]))
-    told = ", ".join(f"{x:.2g}" for x in lengths)
+    steps = ", ".join(f"{x:.2g}" for x in lengths)
     return Claim(
         PAPER,
         "Fig. 3",
@@ -294,7 +294,8 @@ def _iterated(of: Inputs) -> Claim:
         0.0,
         "",
         "jaxgeo.register.gu2017.parameter_step",
-        reason=f"From 39 m and 0.2 deg off, with 20 exact ties: steps of the position {told} m; {left:.1e} m off then.",
+        reason=f"From 39 m and 0.2 deg off, with 20 exact ties: steps of the position {steps} m; {left:.1e} m off "
+        "then.",
     )
 
 
@@ -330,8 +331,8 @@ def eq7(of: Inputs) -> list[Claim]:
         swapped += b[:2].T @ inner @ b[:2]
     sigmas = np.repeat([POSITION, math.radians(ATTITUDE)], 3)
     righted = _sigmas(np.linalg.inv(normal + np.diag(sigmas**-2.0)))
-    look = ModelInputs(Exposure(of.sensor, of.shot, jnp.asarray(0.0)), terrain=ConstantHeight(GROUND))
-    _, J, by_ground = _conditions(look, of.errors, jnp.asarray(of.uv), jnp.asarray(of.points), jnp.asarray(GROUND))
+    inputs = ModelInputs(Exposure(of.sensor, of.shot, jnp.asarray(0.0)), terrain=ConstantHeight(GROUND))
+    _, J, by_ground = _conditions(inputs, of.errors, jnp.asarray(of.uv), jnp.asarray(of.points), jnp.asarray(GROUND))
     prior = jnp.asarray(of.errors.covariance())
     ours = _sigmas(np.asarray(parameter_covariance(J[:, :2], by_ground[:, :2], jnp.asarray(np.stack(grounds)), prior)))
     updated = _updated_sigmas(of)
@@ -372,8 +373,8 @@ def eq7(of: Inputs) -> list[Claim]:
 def _updated_sigmas(of: Inputs) -> list[float]:
     lat, lon = (np.asarray(x) for x in _placed(jnp.asarray(of.points)))
     ties = TiePoints(of.uv, Geodetic(lat=lat, lon=lon, height=np.zeros(len(lat))), np.zeros((len(lat), 2, 2)))
-    told = TieErrors(registration=REGISTRATION, terrain=TERRAIN)
-    found = update_orientation(of.sensor, of.shot, ties, ConstantHeight(GROUND), of.errors, told)
+    tie_errors = TieErrors(registration=REGISTRATION, terrain=TERRAIN)
+    found = update_orientation(of.sensor, of.shot, ties, ConstantHeight(GROUND), of.errors, tie_errors)
     return _sigmas(np.asarray(found.cov_error))
 
 

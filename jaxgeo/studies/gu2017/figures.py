@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxgeo.ortho import Orthoimage
 from jaxgeo.plot import EDGE, FIX, SIGHT, checkerboard, circles_on_map
-from jaxgeo.register import Orthoimage
 from jaxgeo.studies.gu2017.density import Dense
 from jaxgeo.studies.gu2017.flow import Flow
 from jaxgeo.studies.gu2017.frames import Frame
@@ -159,6 +159,6 @@ def draw_frames(found: Sequence[Frame], figure: Figure) -> None:
             usual, half = zip(*(rms(getattr(one, what)) for one in rows), strict=True)
             ax.errorbar(at, usual, yerr=half, fmt="o-", color=colour, capsize=3, label=way)
             ax.plot(at, [getattr(one, sigma) for one in rows], "--", color=colour)
-    left.set(title="Position of the aircraft", xlabel="frame", ylabel="m (dashed: foretold)", ylim=(0.0, None))
-    right.set(title="Fix in the middle", xlabel="frame", ylabel="m (dashed: foretold)", yscale="log")
+    left.set(title="Position of the aircraft", xlabel="frame", ylabel="m (dashed: predicted)", ylim=(0.0, None))
+    right.set(title="Fix in the middle", xlabel="frame", ylabel="m (dashed: predicted)", yscale="log")
     figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=3, loc="outside lower center")

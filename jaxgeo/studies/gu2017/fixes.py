@@ -47,7 +47,7 @@ class Spread(NamedTuple):
     rms: float | None
     ce90: float | None
     sigma: float
-    foretold90: float
+    predicted90: float
     squares: float | None
     grazing: int
 
@@ -111,14 +111,14 @@ def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
     sigmas = np.sqrt(np.trace(fixes.cov, axis1=1, axis2=2))
     usual = known & (sigmas <= GRAZING * np.median(sigmas[known]))
     grazing, cov = int(np.count_nonzero(known & ~usual)), fixes.cov[usual]
-    sigma, foretold = float(np.sqrt(np.mean(sigmas[usual] ** 2))), _ce90(cov)
+    sigma, predicted = float(np.sqrt(np.mean(sigmas[usual] ** 2))), _ce90(cov)
     if true is None:
-        return Spread(None, None, sigma, foretold, None, grazing)
+        return Spread(None, None, sigma, predicted, None, grazing)
     off = fixes.off(true)[usual]
     away = np.linalg.norm(off, axis=1)
     squares = np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]) / 2.0
     rms = float(np.sqrt(np.mean(away**2)))
-    return Spread(rms, float(np.quantile(away, 0.9)), sigma, foretold, float(np.mean(squares)), grazing)
+    return Spread(rms, float(np.quantile(away, 0.9)), sigma, predicted, float(np.mean(squares)), grazing)
 
 
 def _ce90(cov: Float[np.ndarray, "n 2 2"]) -> float:

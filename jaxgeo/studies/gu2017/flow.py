@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.observation import Exposure
-from jaxgeo.register import Orthoimage, Registration, rectify, register_image
+from jaxgeo.ortho import Orthoimage, rectify
+from jaxgeo.register import Registration, register_image
 from jaxgeo.register.prediction import window_of
 from jaxgeo.sensor import Shot
-from jaxgeo.studies.gu2017.fixes import Fixes, Spread, direct, spread, truth, updated
+from jaxgeo.studies.gu2017.fixes import Spread, direct, spread, truth, updated
 from jaxgeo.studies.gu2017.scene import SIGMA_ATTITUDE, SIGMA_POSITION, Imaged, disturbed
 from jaxgeo.uncertainty import Propagation, propagate
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -89,8 +90,8 @@ def _pictured(im: Imaged, runs: list[Run]) -> Flow:
 
 def part_of(im: Imaged) -> Orthoimage:
     """The part of the map that contains the image by the navigation, with a margin."""
-    look = ModelInputs(Exposure(im.sensor, im.given, jnp.asarray(0.0)), terrain=im.terrain)
-    window = window_of(look, im.reference.grid, im.reference.shape)
+    inputs = ModelInputs(Exposure(im.sensor, im.given, jnp.asarray(0.0)), terrain=im.terrain)
+    window = window_of(inputs, im.reference.grid, im.reference.shape)
     if window is None:
         return im.reference
     top, left, bottom, right = window
@@ -98,9 +99,3 @@ def part_of(im: Imaged) -> Orthoimage:
     top, left = max(top - aside, 0), max(left - aside, 0)
     bottom, right = (min(end + aside, n) for end, n in zip((bottom, right), im.reference.shape, strict=True))
     return im.reference.window(top, left, (bottom - top, right - left))
-
-
-def fixes_before_and_after(im: Imaged, run: Run) -> tuple[Fixes, Fixes | None]:
-    """Fixes of the lattice by the navigation and after a run."""
-    after = updated(im, run.registration) if run.registration.accepted else None
-    return direct(im, run.given), after

@@ -153,32 +153,32 @@ def _on_map(points: Any, off: Any) -> tuple[Any, Any]:
 
 def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: str) -> list[list[float]]:
     """(position error, its sigma, error of the centre fix, its sigma) of each frame."""
-    told = TieErrors(registration=MATCHED, terrain=im.tie_errors.terrain)
+    tie_errors = TieErrors(registration=MATCHED, terrain=im.tie_errors.terrain)
     last: tuple[int, Update] | None = None
     rows = []
     for k, frame in enumerate(flown):
         prior = None if last is None or way == ALONE else propagate_prior(last[1], _occasion(last[0]), _occasion(k))
         if _is_registered(way, k):
             found = update_orientation(
-                *alike((camera(), frame.given)), frame.ties, im.terrain, model, told, prior=prior
+                *alike((camera(), frame.given)), frame.ties, im.terrain, model, tie_errors, prior=prior
             )
             last = k, found
             rows.append(_off(im, frame, found.shot, found.cov_error))
         else:
             assert prior is not None
-            rows.append(_off(im, frame, *_foretold(im, frame, model, prior)))
+            rows.append(_off(im, frame, *_predicted(im, frame, model, prior)))
     return rows
 
 
-def _foretold(im: Imaged, frame: _Flown, model: ErrorModel, prior: Prior) -> tuple[Any, Any]:
+def _predicted(im: Imaged, frame: _Flown, model: ErrorModel, prior: Prior) -> tuple[Any, Any]:
     """(predicted shot from the previous frames, covariance of its errors)."""
-    look = ModelInputs(Exposure(*alike((camera(), frame.given)), jnp.asarray(0.0)), terrain=im.terrain)
-    return _moved(model, look, jnp.asarray(prior.mean)[:-2]).motion, jnp.asarray(prior.covariance)[:-2, :-2]
+    inputs = ModelInputs(Exposure(*alike((camera(), frame.given)), jnp.asarray(0.0)), terrain=im.terrain)
+    return _moved(model, inputs, jnp.asarray(prior.mean)[:-2]).motion, jnp.asarray(prior.covariance)[:-2, :-2]
 
 
 @eqx.filter_jit
-def _moved(model: ErrorModel, look: ModelInputs, error: Any) -> ModelInputs:
-    return model.moved(look, error)
+def _moved(model: ErrorModel, inputs: ModelInputs, error: Any) -> ModelInputs:
+    return model.moved(inputs, error)
 
 
 def _off(im: Imaged, frame: _Flown, shot: Any, cov: Any) -> list[float]:

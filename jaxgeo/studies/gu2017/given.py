@@ -29,12 +29,12 @@ def read(
     The orthoimage is assumed accurate to one of its cells, the terrain to `SIGMA_TERRAIN`. Raises `SceneError` for a
     scene without a pose, `ImageError` for invalid images or images of another size.
     """
-    told = read_scene(scene)
-    if told.shot is None:
+    described = read_scene(scene)
+    if described.shot is None:
         raise SceneError(f"{scene}: [pose] is missing; a registration needs it.")
     values, known = read_image(image, allow_remote=reach.remote, allow_outside=reach.outside)
-    check_size(str(image), values.shape, told.sensor.camera)
+    check_size(str(image), values.shape, described.sensor.camera)
     grey = np.asarray(values, float).mean(axis=0)
     ortho = read_orthoimage(reference, allow_remote=reach.remote, allow_outside=reach.outside)
     errors = TieErrors(registration=LEAST_MATCH, terrain=SIGMA_TERRAIN, shift=ortho.ground_sampling)
-    return Imaged(told.sensor, told.shot, grey, known, ortho, terrain, navigation(*sigmas), errors)
+    return Imaged(described.sensor, described.shot, grey, known, ortho, terrain, navigation(*sigmas), errors)

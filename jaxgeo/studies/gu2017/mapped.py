@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.observation import Exposure
-from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, match_blocks, rectify, remove_illumination
+from jaxgeo.ortho import Orthoimage, rectify
+from jaxgeo.register import Matches, TiePoints, blocks_of, match_blocks, remove_illumination
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
 from jaxgeo.sensor import Shot
@@ -39,8 +40,8 @@ class Mapped(NamedTuple):
     def shifts(self, centres: np.ndarray, size: int) -> Shifts:
         """Shifts of blocks by the errors."""
         im = self.im
-        look = ModelInputs(Exposure(im.sensor, self.shot, jnp.asarray(0.0)), terrain=im.terrain)
-        return shifts_of(look, self.errors, im.reference.grid, centres, size / 2.0)
+        inputs = ModelInputs(Exposure(im.sensor, self.shot, jnp.asarray(0.0)), terrain=im.terrain)
+        return shifts_of(inputs, self.errors, im.reference.grid, centres, size / 2.0)
 
 
 class Blocks(NamedTuple):

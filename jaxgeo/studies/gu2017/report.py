@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-import pathlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.gu2017 import sheets
 from jaxgeo.studies.gu2017.accuracy import Accuracy, accuracy
 from jaxgeo.studies.gu2017.density import Dense, by_size
@@ -15,14 +12,17 @@ from jaxgeo.studies.gu2017.flow import Flow, flow
 from jaxgeo.studies.gu2017.frames import Frame, frames
 from jaxgeo.studies.gu2017.scene import Imaged, in_fine_cells, made
 from jaxgeo.studies.gu2017.searching import Searched, searches
-from jaxgeo.studies.sheet import Sheet, write_sheets
+from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.study_report import AbstractReport
 
 TRIALS = 3  # blocks, with other noise, illumination, elevation model and pose
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(AbstractReport):
     """All results of the study; fields that need a scene with known truth are empty for a user-supplied image."""
+
+    title = "Gu and Qiao (2017), registration to a reference image"
 
     image: Imaged
     accuracy: Accuracy
@@ -32,12 +32,21 @@ class Report:
     searches: list[Searched]
     frames: list[Frame]
 
-    @functools.cached_property
-    def claims(self) -> list[Claim]:
-        """The paper's results beside those of this report; computed once, because tables and pages share them."""
-        from jaxgeo.studies.gu2017.claims import claims_of  # circular import: it imports this module
-
-        return claims_of(self)
+    def sheets(self) -> list[Sheet]:
+        found = [
+            sheets.errors_sheet(self.accuracy),
+            sheets.sensitivity_sheet(self.accuracy),
+            sheets.slopes_sheet(self.accuracy),
+            sheets.circles_sheet(self.accuracy),
+            sheets.flow_sheet(self.flow),
+        ]
+        if self.searches:
+            found += [sheets.searches_sheet(self.searches)]
+        if self.by_size:
+            found += [sheets.blocks_sheet(self.by_size), sheets.ties_sheet(self.by_ties)]
+        if self.frames:
+            found += [sheets.frames_sheet(self.frames), sheets.grounds_sheet(self.frames)]
+        return found
 
 
 def run(seed: int = 0, image: Imaged | None = None) -> Report:
@@ -50,33 +59,3 @@ def run(seed: int = 0, image: Imaged | None = None) -> Report:
         done = flow(im, seed=seed)
         whole, fewer = ([], []) if im.sight is None else by_size(in_fine_cells(im, seed), range(seed, seed + TRIALS))
         return Report(im, table.result(), done, whole, fewer, sought.result(), in_turn.result())
-
-
-def sheets_of(report: Report) -> list[Sheet]:
-    """Tables of the study, in the paper's order, and the resulting verdicts."""
-    found = [
-        sheets.errors_sheet(report.accuracy),
-        sheets.sensitivity_sheet(report.accuracy),
-        sheets.slopes_sheet(report.accuracy),
-        sheets.circles_sheet(report.accuracy),
-        sheets.flow_sheet(report.flow),
-    ]
-    if report.searches:
-        found += [sheets.searches_sheet(report.searches)]
-    if report.by_size:
-        found += [sheets.blocks_sheet(report.by_size), sheets.ties_sheet(report.by_ties)]
-    if report.frames:
-        found += [sheets.frames_sheet(report.frames), sheets.grounds_sheet(report.frames)]
-    return [*found, claims_sheet(report.claims)]
-
-
-def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
-    write_sheets("Gu and Qiao (2017)", sheets_of(report), folder)
-
-
-def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.gu2017 import figures  # only pictures need matplotlib
-
-    figures.write(report, folder)

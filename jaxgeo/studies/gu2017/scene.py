@@ -13,8 +13,9 @@ import scipy  # submodules load on first use
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.io import example_dem
 from jaxgeo.observation import Exposure
-from jaxgeo.register import Orthoimage, TieErrors
-from jaxgeo.register.render import met
+from jaxgeo.ortho import Orthoimage
+from jaxgeo.ortho.rendering import met
+from jaxgeo.register import TieErrors
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.status import Status
 from jaxgeo.studies.scenes import fractal_posts

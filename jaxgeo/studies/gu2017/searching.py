@@ -90,15 +90,15 @@ def searches(im: Imaged, seed: int = 0, draws: int = DRAWS, scenes: Sequence[Sou
 def _of_scene(im: Imaged, sought: Sought, seeds: Sequence[int]) -> list[Searched]:
     assert im.true is not None
     errors = navigation(sought.position, sought.attitude_deg)
-    told: dict[str, np.ndarray] = {WHOLE: ((FAR - 1.0) / printed.SEARCHED) ** 2 * np.eye(2)}
+    windows: dict[str, np.ndarray] = {WHOLE: ((FAR - 1.0) / printed.SEARCHED) ** 2 * np.eye(2)}
     found: dict[str, list[Searched]] = {CONSTRAINED: [], WHOLE: []}
     for seed in seeds:
         rng = np.random.default_rng([seed, 5])
         given = disturbed(im.true, rng, metres=sought.position, degrees=sought.attitude_deg)
         here = mapped(seen_again(im, seed, sought.noise), given, errors)
-        told.setdefault(CONSTRAINED, allowed(here, sought.block))
+        windows.setdefault(CONSTRAINED, allowed(here, sought.block))
         for name, rows in found.items():
-            rows.append(_searched(here, sought, name, told[name]))
+            rows.append(_searched(here, sought, name, windows[name]))
     return [_summed(rows) for rows in found.values()]
 
 

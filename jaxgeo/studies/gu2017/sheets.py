@@ -27,8 +27,8 @@ def errors_sheet(found: Accuracy) -> Sheet:
         direct, updated = (float(x) for x in row.rms)
         gain = math.log10(direct / updated)
         circles = [float(one.circular_error(0.9)) for one in (row.direct, row.updated)]
-        told = f"{'yes' if updated < printed.BETTER_THAN else 'no'}, {'yes' if gain >= printed.ORDERS else 'no'}"
-        rows.append([*row.case, direct, updated, gain, *circles, told])
+        answers = f"{'yes' if updated < printed.BETTER_THAN else 'no'}, {'yes' if gain >= printed.ORDERS else 'no'}"
+        rows.append([*row.case, direct, updated, gain, *circles, answers])
     columns = {"position": "g", "attitude": "g", "terrain": "g", "registration": "g", "direct": ".1f", "updated": ".1f"}
     columns |= {"orders": ".2f", "direct CE90": ".1f", "updated CE90": ".1f", "as claimed": ""}
     note = (
@@ -103,11 +103,11 @@ def flow_sheet(found: Flow) -> Sheet:
     columns = {"draw": "d", "": "", "passes": "d", "ties": "d", "registration": ".2f"} | SPREAD
     note = (
         f"Over a lattice of pixels, m in plan. An image that is made is {OFF_NADIR:g} deg off nadir, {ABOVE:g} m over "
-        f"hills, with an elevation model that errs by {SIGMA_TERRAIN:g} m, which is twice as much and more along the "
-        "line of sight, and a navigation that errs by 50 m and 0.5 deg. sigma is the root mean square of what is "
-        "foretold, CE90 the median of the radii. squares are those of the errors in standard deviations, 1 on average "
-        "for each axis if these are right, and less here, since errors of heights even out over a block. Pixels that "
-        "graze a ridge, by what is foretold, are left out. The first registration took "
+        f"hills, with a DEM height sigma of {SIGMA_TERRAIN:g} m, which is twice as much and more along the "
+        "line of sight, and a navigation sigma of 50 m and 0.5 deg. sigma is the root mean square of the "
+        "predicted errors, CE90 the median of the radii. squares are those of the errors in standard deviations, 1 on "
+        "average for each axis if these are right, and less here, since errors of heights even out over a block. "
+        "Pixels that graze a ridge, as predicted, are left out. The first registration took "
         f"{found.runs[0].seconds:.1f} s, with compilation, the last {found.runs[-1].seconds:.1f} s."
     )
     return Sheet("flow", "An image from end to end (Figs. 1 and 4)", columns, rows, note)
@@ -117,7 +117,7 @@ SPREAD = {"RMS": ".2f", "sigma": ".2f", "90 %": ".2f", "CE90": ".2f", "squares":
 
 
 def _spread(one: Spread) -> list[Cell]:
-    return [one.rms, one.sigma, one.ce90, one.foretold90, one.squares, one.grazing]
+    return [one.rms, one.sigma, one.ce90, one.predicted90, one.squares, one.grazing]
 
 
 def blocks_sheet(found: Sequence[Dense]) -> Sheet:
@@ -166,14 +166,14 @@ def searches_sheet(found: Sequence[Searched]) -> Sheet:
     for name in CHOICES:
         columns |= {name: "d", f"{name} wrong": "d", f"{name} useless": "d"}
     scenes = dict.fromkeys(one.sought for one in found)
-    told = "; ".join(
+    figures = "; ".join(
         f"{one.name}: navigation {one.position:g} m, {one.attitude_deg:g} deg, noise {one.noise:g} of the image's own "
         f"spread, candidates from {one.above_chance:g} times chance on and of {one.largest_sigma:g} cells of sigma"
         + (f", texture that repeats every {one.period} cells in {one.share:.0%} of its variance" if one.period else "")
         for one in scenes
     )
     note = (
-        f"{told}. Blocks of so many cells of {CELL:g} m on the map, as the paper compares them, the image of {WIDTH} x "
+        f"{figures}. Block sizes in cells of {CELL:g} m on the map, as the paper compares them, the image of {WIDTH} x "
         f"{HEIGHT} px rectified once from the navigation; all counts are sums over draws of noise, light, errors of "
         f"the navigation and of the elevation model. unconstrained: {FAR:g} cells around. within: the true shift is "
         "within the constraint. Wrong: farther than 3 cells from the median of the true shifts over the block. best: a "
@@ -195,8 +195,9 @@ def frames_sheet(found: Sequence[Frame]) -> Sheet:
     note = (
         f"Root mean squares over {len(found[0].position)} flights, each with an elevation model of other errors, m; "
         "± is half the 95 % interval. Errors of the navigation fade over "
-        f"{DURATION:g} s, frames are {STEP:g} s apart, each with {TIES} ties, simulated, that err "
-        f"by {MATCHED:g} m on the map and {SIGMA_TERRAIN:g} m in height. The paper names sequences as an extension."
+        f"{DURATION:g} s, frames are {STEP:g} s apart, each with {TIES} ties, simulated, with "
+        f"sigmas of {MATCHED:g} m on the map and {SIGMA_TERRAIN:g} m in height. The paper names sequences "
+        "as an extension."
     )
     return Sheet("frames", "Frames one after the other (section 4)", columns, rows, note)
 

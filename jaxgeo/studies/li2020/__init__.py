@@ -8,9 +8,10 @@ from jaxgeo.studies.li2020.control import Control, controls
 from jaxgeo.studies.li2020.flight import Sighting, StripPair, pairs, sightings
 from jaxgeo.studies.li2020.influence import Influence, tables_1_to_3
 from jaxgeo.studies.li2020.relief import Relief, reliefs
-from jaxgeo.studies.li2020.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.li2020.report import Report, run
 from jaxgeo.studies.li2020.strips import Strips, strips
 from jaxgeo.studies.li2020.timing import Mountain, Period, mountain, periods
+from jaxgeo.studies.study_report import sheets_of, write_pictures, write_tables
 
 __all__ = [
     "Cause",

@@ -12,7 +12,7 @@ from jaxgeo.coverage import Footprint, Overlap, compensate, footprint, overlap
 from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.studies.li2020 import printed
-from jaxgeo.studies.li2020.influence import START, wished_flight
+from jaxgeo.studies.li2020.influence import START, required_flight
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ ACTUAL, COMPENSATED = "actual at T1", "compensated at T1"
 def outlines() -> Outlines:
     """Footprints from the position and height of Table 4's first strip; the step gives the required overlap."""
     camera, ground = printed.sensor(mirror=False), printed.ground()
-    before, after = wished_flight()
+    before, after = required_flight()
     level = (printed.HEADING_BEFORE, 0.0, 0.0)
     shots = {
         FIRST: _shot(before, level),

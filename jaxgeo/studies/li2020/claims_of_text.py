@@ -31,7 +31,7 @@ def claims_of_abstract(report: Report) -> list[Claim]:
         in_flight(
             report,
             "Abstract",
-            "mean overlap off the wish over flat ground, field of view 0.88°",
+            "mean overlap off the required one over flat ground, field of view 0.88°",
             "coverage.plan",
             lambda: (
                 printed.FLOWN - printed.OVERLAP,
@@ -45,16 +45,16 @@ def claims_of_abstract(report: Report) -> list[Claim]:
 def claims_of_text(report: Report) -> list[Claim]:
     """Sections 2 to 5, in order."""
     example, ten = report.compensations[:2]
-    look = {"field_of_view": math.radians(printed.FIELD_OF_VIEW)}
+    view = {"field_of_view": math.radians(printed.FIELD_OF_VIEW)}
     one_degree = math.radians(1.0)
-    at_nadir = geometry.overlap_change_by_heading(heading_change=one_degree, off_nadir=0.0, **look)
-    flown = {"step": 385.0, "height_above_ground": 8143.0, **look}
+    at_nadir = geometry.overlap_change_by_heading(heading_change=one_degree, off_nadir=0.0, **view)
+    flown = {"step": 385.0, "height_above_ground": 8143.0, **view}
     steeper, flatter = (float(geometry.overlap_at(off_nadir=math.radians(x), **flown)) for x in (60.0, 74.0))
     lower_ground, higher_ground = (
         math.copysign(1.0, geometry.overlap_change_by_height(height_change=-ground, height_above_ground=8143.0))
         for ground in (-100.0, 100.0)
     )
-    steady = {"off_nadir": math.radians(74.0), "height_above_ground": 8143.0, **look}
+    steady = {"off_nadir": math.radians(74.0), "height_above_ground": 8143.0, **view}
     waits = [
         float(geometry.overlap_of_period(period=2.3 / more, speed=172.0 * more, **steady)) for more in (0.9, 1.0, 1.1)
     ]
@@ -149,7 +149,7 @@ def claims_of_text(report: Report) -> list[Claim]:
         in_flight(
             report,
             "Section 5",
-            "mean overlap off the wish over mountains, the planned height not put right",
+            "mean overlap off the required one over mountains, the planned height not put right",
             "coverage.VelocityHeight",
             lambda: (
                 printed.OVERLAP - printed.MOUNTAIN_FLOWN,
@@ -225,7 +225,9 @@ def _timed_by_the_ground(report: Report) -> tuple[object, object, dict[str, obje
         for (ground, relief, timing), one in rows.items()
         if timing == AS_IN_THE_PAPER
     ]
-    reason = f"The rms off the wish falls to {min(ratios):.0%} to {max(ratios):.0%} over {len(ratios)} grounds."
+    reason = (
+        f"The rms off the required overlap falls to {min(ratios):.0%} to {max(ratios):.0%} over {len(ratios)} grounds."
+    )
     return True, max(ratios) < 0.5, {"reason": reason}
 
 

@@ -123,7 +123,7 @@ def draw_strips(found: Sequence[Strips], figure: Figure) -> None:
             label = f"{one.timing}: mean {one.near.mean():.1%}, least {one.near.min():.1%}"
             style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.2}
             ax.plot(one.times[1:], 100.0 * one.near, label=label, **style)
-        ax.axhline(100.0 * printed.OVERLAP, color=EDGE, linewidth=1.0, linestyle="--", zorder=0, label="wished")
+        ax.axhline(100.0 * printed.OVERLAP, color=EDGE, linewidth=1.0, linestyle="--", zorder=0, label="required")
         ax.set(title=title, ylabel="overlap at the near end, %", ylim=(0.0, 33.0))
         ax.legend(frameon=False, fontsize=9, loc="upper left", ncols=2)
     panels[1].set_xlabel("time, s")
@@ -169,7 +169,11 @@ def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure
         )
     planned = sorted({(one.relief, one.by_height) for one in relief})
     right.plot([x for x, _ in planned], [100.0 * y for _, y in planned], color="0.6", zorder=0, label="by Eq 28")
-    right.set(xlabel="relief, standard deviation of heights, m", ylabel="rms off the wish, points", ylim=(0.0, 4.2))
+    right.set(
+        xlabel="relief, standard deviation of heights, m",
+        ylabel="rms off the required overlap, points",
+        ylim=(0.0, 4.2),
+    )
     right.set(xlim=(0.0, 215.0), xticks=[x for x, _ in planned])
     right.set(title="Relief of the ground, ± 95 % over places")
     for ax in (left, right):

@@ -74,7 +74,7 @@ def folding(changes_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return np.asarray(FORMULAS["heading"](np.radians(changes_deg))), found[:, 0], found[:, 2]
 
 
-def wished_flight() -> tuple[float, float]:
+def required_flight() -> tuple[float, float]:
     """Latitudes in rad of the two strips: flown south until the frames have the required overlap on the map."""
     metres = float(WGS84.meridian_radius(jnp.deg2rad(START.lat))) + START.height_above_ground
     flown = 400.0
@@ -85,7 +85,7 @@ def wished_flight() -> tuple[float, float]:
 
 def _changes(attitudes: np.ndarray) -> np.ndarray:
     """Changes of the overlap (n, 3), see `_overlaps`, by attitudes (n, 3) of the second strip."""
-    return np.asarray(_overlaps(*wished_flight(), attitudes)[0])
+    return np.asarray(_overlaps(*required_flight(), attitudes)[0])
 
 
 FORMULAS: dict[str, Callable[[np.ndarray], Array]] = {

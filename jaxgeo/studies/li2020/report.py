@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import functools
-import pathlib
 from dataclasses import dataclass, field, replace
 
-from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.li2020 import sheets
 from jaxgeo.studies.li2020.attitude import Outlines, outlines
 from jaxgeo.studies.li2020.causes import Cause, Products, causes, products
-from jaxgeo.studies.li2020.claims import claims_of
 from jaxgeo.studies.li2020.compensation import Compensation, compensations
 from jaxgeo.studies.li2020.control import Control, controls
 from jaxgeo.studies.li2020.flight import Sighting, StripPair, mean_depression, pairs, sightings
@@ -18,12 +14,15 @@ from jaxgeo.studies.li2020.influence import Influence, tables_1_to_3
 from jaxgeo.studies.li2020.relief import Relief, reliefs
 from jaxgeo.studies.li2020.strips import Strips, strips
 from jaxgeo.studies.li2020.timing import Mountain, Period, mountain, periods
-from jaxgeo.studies.sheet import Sheet, write_sheets
+from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.study_report import AbstractReport
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(AbstractReport):
     """All results of the study; without flights, `outlines` is None and the fields after it are empty."""
+
+    title = "Li et al. (2020), overlap of oblique strips"
 
     influences: list[Influence]
     causes: list[Cause]
@@ -38,10 +37,22 @@ class Report:
     controls: list[Control] = field(default_factory=list)
     reliefs: list[Relief] = field(default_factory=list)
 
-    @functools.cached_property
-    def claims(self) -> list[Claim]:
-        """The paper's results beside those of this report; computed once, because tables and pages share them."""
-        return claims_of(self)
+    def sheets(self) -> list[Sheet]:
+        found = [
+            sheets.influence_sheet(self.influences),
+            sheets.causes_sheet(self.causes, self.products),
+            sheets.compensation_sheet(self.compensations),
+            sheets.sightings_sheet(self.sightings),
+            sheets.overlaps_sheet(self.pairs),
+            sheets.timing_sheet(self.periods, self.mountain),
+        ]
+        if self.strips:
+            found += [
+                sheets.strips_sheet(self.strips),
+                sheets.control_sheet(self.controls),
+                sheets.relief_sheet(self.reliefs),
+            ]
+        return found
 
 
 def run(*, flights: bool = True, seed: int = 0) -> Report:
@@ -64,34 +75,3 @@ def run(*, flights: bool = True, seed: int = 0) -> Report:
     return replace(
         found, outlines=outlines(), strips=strips(), controls=controls(seed=seed), reliefs=reliefs(seed=seed)
     )
-
-
-def sheets_of(report: Report) -> list[Sheet]:
-    """Tables of the study, in the paper's order, and the verdicts."""
-    found = [
-        sheets.influence_sheet(report.influences),
-        sheets.causes_sheet(report.causes, report.products),
-        sheets.compensation_sheet(report.compensations),
-        sheets.sightings_sheet(report.sightings),
-        sheets.overlaps_sheet(report.pairs),
-        sheets.timing_sheet(report.periods, report.mountain),
-    ]
-    if report.strips:
-        found += [
-            sheets.strips_sheet(report.strips),
-            sheets.control_sheet(report.controls),
-            sheets.relief_sheet(report.reliefs),
-        ]
-    return [*found, claims_sheet(report.claims)]
-
-
-def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
-    write_sheets("Li et al. (2020)", sheets_of(report), folder)
-
-
-def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.li2020 import figures  # only pictures need matplotlib
-
-    figures.write(report, folder)

@@ -168,7 +168,7 @@ def timing_sheet(found: Sequence[Period], over: Mountain) -> Sheet:
         ["change of overlap over the mountain", printed.MOUNTAIN_OVERLAP_CHANGE, over.change, "Eq 28"],
         ["overlap over the mountain", printed.MOUNTAIN_OVERLAP, over.by_eq_28, remark],
         ["overlap over the mountain", None, over.of_the_step, "of the step itself: Eqs 2 and 27"],
-        ["period for the wished overlap, s", None, found[0].by_eq_29, "Eq 29, mean depression of Table 4"],
+        ["period for the required overlap, s", None, found[0].by_eq_29, "Eq 29, mean depression of Table 4"],
         *([f"period of strips {one.strips}, s", None, one.implied, "chord over speed"] for one in found),
     ]
     note = (
@@ -234,8 +234,8 @@ def control_sheet(found: Sequence[Control]) -> Sheet:
         f"{printed.TABLE_4[0].height_above_ground:.0f} m over level ground, in drawn noise: standard deviations of "
         "heading, pitch and roll, and of each drive's reading, anew for every frame. Spread: standard deviation of the "
         "overlap at the near end; by formula: Eqs 18 and 19 and the mirror's gain of two, for small angles. Gaps: "
-        f"share of pairs that leave one with {printed.OVERLAP:.0%} wished. What is left without an error of control is "
-        "the image's turning about the line of sight, since the near end lies beside it. The same draws serve all "
+        f"share of pairs that leave one with {printed.OVERLAP:.0%} required. What is left without an error of control "
+        "is the image's turning about the line of sight, since the near end lies beside it. The same draws serve all "
         "rows, so that their means go together."
     )
     return Sheet("control", "Errors of the gimbal's control (the paper's later work)", columns, rows, note)
@@ -268,8 +268,9 @@ def relief_sheet(found: Sequence[Relief]) -> Sheet:
         f"The paper's camera, near end {printed.OFF_NADIR:.0f}° off nadir, "
         f"{printed.TABLE_4[0].height_above_ground:.0f} m above the mean ground, over {PLACES} seeds of fractal ground, "
         "or places of the example terrain with its relief made smaller and larger; relief is the standard deviation of "
-        "heights. Mean, spread along a flight, and rms off the wish, each with half of its 95 % interval over the "
-        "places. By Eq 28: (1 - rho0) times the relief over the height, for a step planned over the mean ground. "
-        "Planned height times by Eq 36 over the mean ground, as the paper does; velocity-height over the ground seen."
+        "heights. Mean, spread along a flight, and rms off the required overlap, each with half of its 95 % interval "
+        "over the places. By Eq 28: (1 - rho0) times the relief over the height, for a step planned over the mean "
+        "ground. Planned height times by Eq 36 over the mean ground, as the paper does; velocity-height over "
+        "the ground seen."
     )
     return Sheet("relief", "Relief of the ground (the paper's later work)", columns, rows, note)

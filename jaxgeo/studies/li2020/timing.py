@@ -40,11 +40,11 @@ def mountain() -> Mountain:
 def periods(flown: Sequence[StripPair], depression_deg: float) -> list[Period]:
     """Eq 29 with height and speed of Table 4's first strip and a mean depression in deg; and chords over speeds."""
     first = printed.TABLE_4[0]
-    wished = geometry.period_of_overlap(
+    required = geometry.period_of_overlap(
         overlap=printed.OVERLAP,
         speed=first.speed_kmh / 3.6,
         height_above_ground=first.height_above_ground,
         off_nadir=math.radians(90.0 - depression_deg),
         field_of_view=math.radians(printed.FIELD_OF_VIEW),
     )
-    return [Period(pair.strips, float(wished), pair.flown / pair.speed) for pair in flown]
+    return [Period(pair.strips, float(required), pair.flown / pair.speed) for pair in flown]

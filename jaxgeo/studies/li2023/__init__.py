@@ -7,10 +7,11 @@ from jaxgeo.studies.li2023.claims_on_searches import plane_claims, search_claims
 from jaxgeo.studies.li2023.inclination import Inclination, fig_5
 from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
 from jaxgeo.studies.li2023.positions import Accuracy, Judged, over_fractal_ground, over_level_ground, over_real_ground
-from jaxgeo.studies.li2023.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.li2023.report import Report, run
 from jaxgeo.studies.li2023.searches import Comparison, compare_searches
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
+from jaxgeo.studies.study_report import sheets_of, write_pictures, write_tables
 
 __all__ = [
     "Accuracy",

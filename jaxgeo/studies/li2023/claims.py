@@ -117,7 +117,8 @@ def table_3(positions: list[Accuracy], tilts: list[Tilt]) -> Iterator[Claim]:
             tolerance=tuple((spread * wanted).tolist()),
             unit="m",
             explanation=Explanation(
-                f"ground tilted by {tilted.along_deg:+.1f}° along the look and {tilted.across_deg:+.1f}° across it",
+                f"ground tilted by {tilted.along_deg:+.1f}° along the line of sight and "
+                f"{tilted.across_deg:+.1f}° across it",
                 tuple(tilted.rms_enu[[1, 0, 2]].tolist()),
                 tuple(wanted.tolist()),
                 tuple((spread * wanted).tolist()),
@@ -133,7 +134,8 @@ def table_3(positions: list[Accuracy], tilts: list[Tilt]) -> Iterator[Claim]:
             tolerance=spread * row.rms,
             unit="m",
             explanation=Explanation(
-                f"ground tilted by {tilted.along_deg:+.1f}° along the look and {tilted.across_deg:+.1f}° across it",
+                f"ground tilted by {tilted.along_deg:+.1f}° along the line of sight and "
+                f"{tilted.across_deg:+.1f}° across it",
                 float(np.linalg.norm(tilted.rms_enu)),
                 row.rms,
                 spread * row.rms,

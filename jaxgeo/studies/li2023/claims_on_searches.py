@@ -24,7 +24,7 @@ from jaxgeo.studies.li2023.searches import (
 from jaxgeo.studies.scenes import profile_dem, profile_ray
 from jaxgeo.studies.terrain_searches import approaches, run_from
 from jaxgeo.terrain import Dem, Ending, FastIteration, HeightsBetween, ImprovedLiteral, Outcome, Photogrammetric, Run
-from jaxgeo.terrain.search.studied import AbstractStudiedSearch
+from jaxgeo.terrain.search.literature.studied import AbstractStudiedSearch
 
 PAPER = "Li 2023"
 SLOPES = (-0.9, -0.5, 0.0, 0.5, 0.9)  # k: tan(ground slope along the view) / tan(depression)

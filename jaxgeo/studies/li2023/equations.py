@@ -242,8 +242,8 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 def _fix(row: printed.Terrain) -> np.ndarray:
     """The point located at the height of a printed target, in ECEF."""
-    look = ModelInputs.of(printed.sensor(), printed.shot_of(row), printed.UV, printed.level_ground(row.target[2]))
-    return np.asarray(look.nominal_fix(FIRST_HIT).fix.ecef)
+    inputs = ModelInputs.of(printed.sensor(), printed.shot_of(row), printed.UV, printed.level_ground(row.target[2]))
+    return np.asarray(inputs.nominal_fix(FIRST_HIT).fix.ecef)
 
 
 def near_range(origin: np.ndarray, direction: np.ndarray) -> float:

@@ -55,9 +55,9 @@ class Pointing:
 
 def pointing_errors(setting: str, shot: Shot, *, samples: int, key: Array) -> Pointing:
     """Pointing errors of a shot under Table 1: to first order, and from `samples` draws."""
-    look = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(0.0))
+    inputs = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(0.0))
     model = presets.li_2023()
-    variances, angles = _errors(look, model, key, samples)
+    variances, angles = _errors(inputs, model, key, samples)
     variances, angles = np.rad2deg(np.rad2deg(np.asarray(variances))), np.rad2deg(np.asarray(angles))
     chance = np.asarray(circular_probability(np.diag(variances), np.concatenate([LIMITS, GRID])))
     squares = angles**2
@@ -77,20 +77,20 @@ def pointing_errors(setting: str, shot: Shot, *, samples: int, key: Array) -> Po
 
 @eqx.filter_jit
 def _errors(
-    look: ModelInputs, model: ErrorModel, key: Array, samples: int
+    inputs: ModelInputs, model: ErrorModel, key: Array, samples: int
 ) -> tuple[Float[Array, "2"], Float[Array, " n"]]:
     """(variances in rad2 along the axes of the error across the line of sight, angles in rad of the samples)."""
-    nominal, factor = _direction(look), model.factor()
-    swept = jax.jacfwd(lambda error: _direction(model.moved(look, error)))(jnp.zeros(model.size))
+    nominal, factor = _direction(inputs), model.factor()
+    swept = jax.jacfwd(lambda error: _direction(model.moved(inputs, error)))(jnp.zeros(model.size))
     cov = swept @ model.covariance() @ swept.T
 
     def angle(number: Array) -> Array:
         error = factor @ RANDOM.standard_normal(key, number, model.size)
-        return safe_angle(nominal, _direction(model.moved(look, error)))
+        return safe_angle(nominal, _direction(model.moved(inputs, error)))
 
     return jnp.linalg.eigvalsh(cov)[1:], jax.vmap(angle)(jnp.arange(samples))
 
 
-def _direction(look: ModelInputs) -> Vector3:
+def _direction(inputs: ModelInputs) -> Vector3:
     """Direction of the line of sight in ECEF; no error of this study moves the aircraft, so any fixed frame works."""
-    return line_of_sight(look.sensor, look.motion, jnp.asarray(look.time), look.uv)[1]
+    return line_of_sight(inputs.sensor, inputs.motion, jnp.asarray(inputs.time), inputs.uv)[1]

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-import pathlib
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 
-from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.li2023 import printed, sheets
 from jaxgeo.studies.li2023.causes import Cause, causes
-from jaxgeo.studies.li2023.claims import claims_of
 from jaxgeo.studies.li2023.inclination import Inclination, fig_5
 from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
 from jaxgeo.studies.li2023.positions import (
@@ -26,7 +22,8 @@ from jaxgeo.studies.li2023.search_sheets import search_sheets
 from jaxgeo.studies.li2023.searches import RAYS, TERRAINS, Comparison, compare_searches
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
-from jaxgeo.studies.sheet import Sheet, write_sheets
+from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.study_report import AbstractReport
 
 SAMPLES = 50_000
 PLACES = 12
@@ -35,8 +32,10 @@ SIGMAS = np.linspace(*printed.FIG_5_SIGMAS, 19).tolist()
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(AbstractReport):
     """All results of the study."""
+
+    title = "Li et al. (2023), target location by fast elevation iteration"
 
     pointing: list[Pointing]
     inclination: Inclination
@@ -47,10 +46,23 @@ class Report:
     causes: list[Cause]
     searches: Comparison
 
-    @functools.cached_property
-    def claims(self) -> list[Claim]:
-        """The paper's results beside those of this report; computed once, because tables and pages share them."""
-        return claims_of(self)
+    def sheets(self) -> list[Sheet]:
+        return [
+            sheets.pointing_sheet(self.pointing),
+            sheets.sight_sheet(),
+            sheets.inclination_sheet(self.inclination),
+            sheets.targets_sheet(self.targets),
+            sheets.misprints_sheet(),
+            sheets.positions_sheet(self.positions),
+            sheets.circles_sheet(self.positions),
+            sheets.judged_sheet(self.judged),
+            sheets.causes_sheet(self.causes),
+            sheets.tilts_sheet(self.tilts),
+            *search_sheets(self.searches),
+        ]
+
+    def sheets_beside(self) -> list[Sheet]:
+        return [sheets.places_sheet(self.positions)]
 
 
 def run(
@@ -89,33 +101,3 @@ def run(
         causes=causes(),
         searches=compare_searches(terrains=terrains, rays=rays, seed=seed),
     )
-
-
-def sheets_of(report: Report) -> list[Sheet]:
-    """Tables of the study, in the paper's order."""
-    return [
-        sheets.pointing_sheet(report.pointing),
-        sheets.sight_sheet(),
-        sheets.inclination_sheet(report.inclination),
-        sheets.targets_sheet(report.targets),
-        sheets.misprints_sheet(),
-        sheets.positions_sheet(report.positions),
-        sheets.circles_sheet(report.positions),
-        sheets.judged_sheet(report.judged),
-        sheets.causes_sheet(report.causes),
-        sheets.tilts_sheet(report.tilts),
-        *search_sheets(report.searches),
-        claims_sheet(report.claims),
-    ]
-
-
-def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
-    write_sheets("Li et al. (2023)", sheets_of(report), folder, beside=[sheets.places_sheet(report.positions)])
-
-
-def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.li2023 import figures  # only pictures need matplotlib
-
-    figures.write(report, folder)

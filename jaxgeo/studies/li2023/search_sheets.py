@@ -124,7 +124,7 @@ def savings_note(found: Comparison) -> str:
         f"{100.0 * PRINTED_SAVING:.1f} % for {100.0 * np.mean(single >= PRINTED_SAVING):.1f} % of them: one target, as "
         f"in the paper, says nothing of a terrain. The improved search, by the print "
         f"{printed_ratios('mountain')[1]:.2f} times as dear as the fast one, costs {improved.value:.2f} times as much "
-        f"({improved.low:.2f} to {improved.high:.2f}). The first hit is right more often by so many points of a "
+        f"({improved.low:.2f} to {improved.high:.2f}). The first hit is right more often by that many points of a "
         f"hundred: {behind}."
     )
 

@@ -148,7 +148,7 @@ def tilts_sheet(found: Sequence[Tilt]) -> Sheet:
         columns |= {f"{axis}, printed": ".2f", f"{axis}, fitted": ".2f"}
     note = (
         "The plane under the target on which linear propagation comes nearest to the printed RMS (m): its slope along "
-        "the look (+ rises away from the camera) and across (+ rises to the left of the look)."
+        "the line of sight (+ rises away from the camera) and across (+ rises to its left)."
     )
     return Sheet("tilts", "Which ground the printed errors imply", columns, rows, note)
 
@@ -194,9 +194,9 @@ def judged_sheet(found: Sequence[Judged]) -> Sheet:
         group = [one for one in found if (one.terrain, one.ground) == (terrain, ground)]
         ratios = [one.ce90 / one.sampled_ce90 for one in group]
         methods = Counter(one.method for one in group)
-        told = ", ".join(f"{method} {count}" for method, count in methods.most_common())
+        counts = ", ".join(f"{method} {count}" for method, count in methods.most_common())
         medians = [float(np.median([getattr(one, name) for one in group])) for name in ("ce90", "sampled_ce90")]
-        rows.append([terrain, ground, *medians, float(np.median(ratios)), min(ratios), max(ratios), told])
+        rows.append([terrain, ground, *medians, float(np.median(ratios)), min(ratios), max(ratios), counts])
     columns = {"terrain": "", "ground": "", "CE90, m": ".1f", "sampled, m": ".1f", "ratio": ".3f", "least": ".3f"}
     columns |= {"most": ".3f", "chosen, places": ""}
     note = "The method that jaxgeo.accuracy takes by itself at each place, and its CE90 beside that of other samples."
@@ -215,7 +215,7 @@ def causes_sheet(found: Sequence[Cause]) -> Sheet:
     columns |= {"left (RMS), m": ".1f", "chance of as much left": ".2f", "in σ": ".1f", "chance": ".1e"}
     best, likely = found[0], [one for one in found if one.chance is not None and one.chance > 0.05]
     names = ", ".join(one.name for one in likely)
-    told = (
+    others = (
         f"the likely ones ({names}) leave {min(one.left for one in likely):.0f} m or more"
         if likely
         else "none of those with a stated standard deviation is likelier than 5 %"
@@ -223,7 +223,7 @@ def causes_sheet(found: Sequence[Cause]) -> Sheet:
     note = (
         f"Each quantity by itself in error by the same amount at all three targets, fitted by least squares to the "
         f"errors against a map; σ as in Table 1 and {printed.DEM_SIGMA:.0f} m of the elevation model. What is left "
-        f"is held against the other errors of Table 1. The best, {best.name}, leaves {best.left:.0f} m; {told}."
+        f"is held against the other errors of Table 1. The best, {best.name}, leaves {best.left:.0f} m; {others}."
     )
     return Sheet("causes", "Single causes of the actual errors (section 5.2)", columns, rows, note)
 

@@ -34,8 +34,8 @@ def table_2() -> list[Target]:
 
 def _target(name: str, row: printed.Terrain, inner: float, shot: Shot) -> Target:
     expected = printed.target_of(row)
-    look = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(row.target[2]))
-    found = look.nominal_fix(FIRST_HIT).fix.position
+    inputs = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(row.target[2]))
+    found = inputs.nominal_fix(FIRST_HIT).fix.position
     along_meridian, along_parallel = metres_per_radian(expected)
     north = (float(found.lat) - float(expected.lat)) * along_meridian
     east = (float(found.lon) - float(expected.lon)) * along_parallel

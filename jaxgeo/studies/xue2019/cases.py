@@ -91,9 +91,9 @@ class Cases(NamedTuple):
 
 
 def cases_of(
-    found: Simulated, told: Callable[[str], None] = lambda _: None, models: Sequence[str] = tuple(MODELS)
+    found: Simulated, callback: Callable[[str], None] = lambda _: None, models: Sequence[str] = tuple(MODELS)
 ) -> Cases:
-    """Every case on one block; `told` is called with the name of the next case, `models` names the self-calibration
+    """Every case on one block; `callback` is called with the name of the next case, `models` names the self-calibration
     models.
 
     With the last model the boresight is estimated in two steps, and direct georeferencing is compensated. Cases without
@@ -106,7 +106,7 @@ def cases_of(
     cases = []
 
     def add(name: str, block: Block, unknowns: Unknowns, points: GroundPoints) -> Adjustment:
-        told(name)
+        callback(name)
         adjustment = adjust(block, unknowns)
         cases.append(_case(name, points, adjustment.differences(points)))
         return adjustment
@@ -121,7 +121,7 @@ def cases_of(
         adjustment = add(name, found.block(MODELS[name]), self_calibration(MODELS[name]), checks)
         recovered.append(one_step(name, adjustment, found))
     assert adjustment is not None
-    told("two steps")
+    callback("two steps")
     loose = adjust(found.block(MODELS[last], loosened=LOOSE), self_calibration(MODELS[last], boresight=False))
     step = two_step_boresight(loose, navigation=found.block().navigation)
     recovered.append(two_steps(last, loose, step, found))
@@ -132,7 +132,7 @@ def cases_of(
 
 
 def field_cases(
-    flight: Flown, seed: int, told: Callable[[str], None] = lambda _: None, models: Sequence[str] = tuple(MODELS)
+    flight: Flown, seed: int, callback: Callable[[str], None] = lambda _: None, models: Sequence[str] = tuple(MODELS)
 ) -> list[Case]:
     """The cases with control, with noisier image points and targets (`FIELD_IMAGE`, `FIELD_GROUND`).
 
@@ -141,7 +141,7 @@ def field_cases(
     found = measured(flight, seed, sigma_image=FIELD_IMAGE, sigma_ground=FIELD_GROUND)
     cases = []
     for name in ("control", *models):
-        told(f"{name}, more noise")
+        callback(f"{name}, more noise")
         if name == "control":
             adjustment = adjust(found.block(MODELS[models[-1]], loosened=LOOSE), Unknowns(), screen=None)
         else:

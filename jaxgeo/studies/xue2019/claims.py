@@ -248,7 +248,7 @@ def _statements(report: Report) -> Iterator[Claim]:
     cases, limits = report.cases, report.limits
     models = [cases.of(name) for name in MODELS if name in {case.name for case in cases.cases}]
 
-    def told(case: Case) -> str:
+    def summary_of(case: Case) -> str:
         return f"{case.title}: {case.plane:.2f} m in plan, {case.rms[2]:.2f} m in height"
 
     def holds(case: Case) -> bool:
@@ -260,26 +260,26 @@ def _statements(report: Report) -> Iterator[Claim]:
         "Section 2.2",
         "direct georeferencing does not do for maps at 1:500",
         not holds(pair),
-        f"{told(pair)}. {limit}.",
+        f"{summary_of(pair)}. {limit}.",
     )
     yield _statement(
         "Section 2.4",
         "with a few control points it does, by far: half the limits are kept",
         all(limits.hold(2.0 * case.plane, 2.0 * float(case.rms[2])) for case in models),
-        "; ".join(told(case) for case in models) + f". {limit}.",
+        "; ".join(summary_of(case) for case in models) + f". {limit}.",
     )
     plane, height = printed.WITH_CONTROL
     yield _statement(
         "Section 2.4",
         f"with control and parameters better than {plane} m in plan and {height} m in height",
         all(case.plane < plane and case.rms[2] < height for case in models),
-        "; ".join(told(case) for case in models) + ".",
+        "; ".join(summary_of(case) for case in models) + ".",
     )
     yield _statement(
         "Section 2.4",
         "self-calibration gains most in height",
         all(case.rms[2] / control.rms[2] < case.plane / control.plane for case in models),
-        f"{told(control)}; " + "; ".join(told(case) for case in models) + ".",
+        f"{summary_of(control)}; " + "; ".join(summary_of(case) for case in models) + ".",
     )
     sizes = [float(np.linalg.norm(case.rms)) for case in models]
     yield _statement(

@@ -108,9 +108,9 @@ def _residuals(case: Case, size: float, number: str, ax: Axes) -> None:
     ax.bar([0.2 * size], [ARROW * size], 0.022 * size, bottom=y - 0.5 * ARROW * size, color="0.5")
     ax.text(0.24 * size, y, f"{keys[1]:g} m", va="center", fontsize=9, color="0.3")
     x, y, z = case.rms
-    told = f"{number}: RMS" if number else "RMS"
+    label = f"{number}: RMS" if number else "RMS"
     ax.set_title(f"{case.title}\n", fontsize=9.5)
-    ax.text(0.0, 1.015, f"{told} {x:.3f}  {y:.3f}  {z:.3f} m", transform=ax.transAxes, fontsize=9, color="0.3")
+    ax.text(0.0, 1.015, f"{label} {x:.3f}  {y:.3f}  {z:.3f} m", transform=ax.transAxes, fontsize=9, color="0.3")
     ax.set(xlim=(-0.65 * size, 0.65 * size), ylim=(-0.85 * size, 0.75 * size), aspect="equal")
 
 

@@ -55,7 +55,7 @@ def free_nets(
     lens: type[AbstractCorrection],
     pair: np.ndarray,
     seed: int = 0,
-    told: Callable[[str], None] = lambda _: None,
+    callback: Callable[[str], None] = lambda _: None,
 ) -> list[FreeNet]:
     """Free networks of one block (and of one flown with one heading), one per assumption.
 
@@ -69,7 +69,7 @@ def free_nets(
     nets = []
 
     def add(name: str, assumption: str, block: Block, unknowns: Unknowns | None = None, of: Simulated = found) -> None:
-        told(f"free net: {name}")
+        callback(f"free net: {name}")
         adjustment = adjust(block, unknowns, screen=None)
         nets.append(FreeNet(name, assumption, adjustment.differences(of.ground), adjustment.sigma0))
 

@@ -51,9 +51,9 @@ def block_sheet(block: Simulated) -> Sheet:
     rows.append(["boresight about x, y, z, '", " ".join(f"{angle:.3f}" for angle in printed.BORESIGHT), angles])
     note = (
         "The truth of the simulation is what the paper's Brown model found; size and number of pixels are the camera "
-        "maker's. xp and yp have y up (towards the image's top), x right. The true lens errs by up to 8 um in the "
+        "maker's. xp and yp have y up (towards the image's top), x right. The true lens differs by up to 8 um in the "
         "corners and 0.3 um by a ripple of the chip, of which no model knows; it has no decentring, which could not "
-        "be told from boresight. The angles are those of the body against the camera (roll, pitch, heading)."
+        "be separated from boresight. The angles are those of the body against the camera (roll, pitch, heading)."
     )
     return Sheet("block", "The block (Tables 1 and 2)", {"": "", "printed": "", "simulated": ""}, rows, note)
 

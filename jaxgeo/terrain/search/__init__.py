@@ -1,35 +1,12 @@
-"""Ray-terrain intersection searches with a common interface."""
+"""Ray-terrain intersection searches with a common interface.
 
-from jaxgeo.terrain.search.base import AbstractSearch
-from jaxgeo.terrain.search.bisection import Bisection
-from jaxgeo.terrain.search.exhaustive import ExhaustiveFirst, ExhaustiveNearest
-from jaxgeo.terrain.search.fast_iteration import FastIteration
+`FirstHit` is the default of jaxgeo; the searches of the literature are for study and comparison.
+"""
+
+from jaxgeo.terrain.interface import AbstractSearch
+from jaxgeo.terrain.search import literature
 from jaxgeo.terrain.search.first_hit import FirstHit
-from jaxgeo.terrain.search.improved import ImprovedLiteral, ImprovedSecant
-from jaxgeo.terrain.search.photogrammetric import Photogrammetric
-from jaxgeo.terrain.search.run import Ending, Outcome, Run, outcome_of
-from jaxgeo.terrain.search.segmented import Segmented
-from jaxgeo.terrain.search.studied import AbstractStudiedSearch
-from jaxgeo.terrain.search.window import AbstractWindow, HeightsBetween, TargetArea, WholeTerrain
+from jaxgeo.terrain.search.literature import *  # noqa: F403
 
-__all__ = [
-    "AbstractSearch",
-    "AbstractStudiedSearch",
-    "AbstractWindow",
-    "Bisection",
-    "Ending",
-    "ExhaustiveFirst",
-    "ExhaustiveNearest",
-    "FastIteration",
-    "FirstHit",
-    "HeightsBetween",
-    "ImprovedLiteral",
-    "ImprovedSecant",
-    "Outcome",
-    "Photogrammetric",
-    "Run",
-    "Segmented",
-    "TargetArea",
-    "WholeTerrain",
-    "outcome_of",
-]
+__all__ = ["AbstractSearch", "FirstHit"]
+__all__ += literature.__all__

@@ -21,10 +21,10 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int32
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
-from jaxgeo.terrain.search.base import Way
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.terrain.search.march import March, happened, has_entered, march_all
+from jaxgeo.terrain.search.reach import Way
 from jaxgeo.terrain.search.walk import (
     Stretch,
     advance,

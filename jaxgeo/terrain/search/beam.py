@@ -13,7 +13,7 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Scalar, ScalarField, Vector3Field
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.local_map import Line, LocalMap
-from jaxgeo.terrain.search.base import CEILING_MARGIN, reach_of
+from jaxgeo.terrain.search.reach import CEILING_MARGIN, reach_of
 from jaxgeo.terrain.search.walk import Stretch, clear_ahead
 from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Track
 

@@ -15,8 +15,7 @@ from jaxgeo._typing import Flags, Scalar
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
-from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch, Reach, above_ground, reach_of, way_of
+from jaxgeo.terrain.interface import AbstractSearch, Bracket
 from jaxgeo.terrain.search.batched import Walker, walk_all
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.ground import Ground, fits_together
@@ -28,6 +27,7 @@ from jaxgeo.terrain.search.march import (
     lowest_clearance,
     status_of,
 )
+from jaxgeo.terrain.search.reach import ON_GROUND, Reach, above_ground, reach_of, way_of
 from jaxgeo.terrain.search.walker import MOST_TRACKS, nothing_like
 from jaxgeo.terrain.track import Track
 

@@ -13,7 +13,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import FLOOR_MARGIN, ON_GROUND, reach_between
+from jaxgeo.terrain.search.reach import FLOOR_MARGIN, ON_GROUND, reach_between
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.height_function import HeightFunction

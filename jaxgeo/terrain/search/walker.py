@@ -13,9 +13,9 @@ from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, FlagField, Index, IndexField, Scalar, ScalarField
 from jaxgeo.earth.ray import Ray
-from jaxgeo.terrain.search.base import Way
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.march import March, happened, news_of
+from jaxgeo.terrain.search.reach import Way
 from jaxgeo.terrain.search.walk import FINEST, Stretch, first_place, must_settle, place, place_at, position_of
 from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Quartic, Track, make_track
 

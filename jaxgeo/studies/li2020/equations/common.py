@@ -24,7 +24,7 @@ HEIGHTS, THETAS, OMEGAS = (8143.0, 3000.0), (math.radians(74.0), math.radians(50
 LOOKS = list(zip(THETAS, OMEGAS, strict=True))
 SCENES = list(zip(HEIGHTS, THETAS, OMEGAS, strict=True))
 TURNS = (math.radians(1.0), -math.radians(0.6))
-WISHES = (0.15, 0.6)
+REQUIRED = (0.15, 0.6)
 ATTITUDES = ((2.776, 0.0634, 0.0377), (0.5, -0.1, 0.2))  # heading, pitch, roll
 ANGLES = ((-math.radians(74.0), -0.02), (0.4, -0.3))  # theta, phi
 PLACES = ((0.6085, 1.9113, 8143.0), (-0.9, -2.5, 300.0), (0.2, -0.7, 0.0))  # lat, lon, height

@@ -11,10 +11,10 @@ from jaxgeo.studies.claims import Claim
 from jaxgeo.studies.li2020.equations.common import (
     HEIGHTS,
     LOOKS,
+    REQUIRED,
     SCENES,
     THETAS,
     TURNS,
-    WISHES,
     C_aircraft_from_ned,
     C_camera_from_aircraft,
     claim,
@@ -50,13 +50,13 @@ def length_of_eq_1(height: float, theta: float, omega: float) -> float:
 def attitude() -> list[Claim]:
     """Eqs 17 to 22."""
     heading = [(turn, *one) for turn in TURNS for one in zip(HEIGHTS, THETAS, strict=True)]
-    look = [(turn, *one) for turn in TURNS for one in LOOKS]
-    rolls = [(turn, *one) for turn in TURNS for one in zip(THETAS, WISHES, strict=True)]
+    views = [(turn, *one) for turn in TURNS for one in LOOKS]
+    rolls = [(turn, *one) for turn in TURNS for one in zip(THETAS, REQUIRED, strict=True)]
     stepped = [(step, *scene) for step in (385.0, 120.0) for scene in SCENES]
-    by_pitch = [math.cos(theta) * math.tan(turn) / (2.0 * math.tan(0.5 * omega)) for turn, theta, omega in look]
+    by_pitch = [math.cos(theta) * math.tan(turn) / (2.0 * math.tan(0.5 * omega)) for turn, theta, omega in views]
     by_roll = [
-        geometry.overlap_change_by_roll(off_nadir_change=turn, off_nadir=theta, overlap=wish)
-        for turn, theta, wish in rolls
+        geometry.overlap_change_by_roll(off_nadir_change=turn, off_nadir=theta, overlap=required)
+        for turn, theta, required in rolls
     ]
     return [
         claim(  # Eq 17: L_O3O4 = H tan(theta) sin(dlambda)
@@ -85,10 +85,10 @@ def attitude() -> list[Claim]:
         claim(  # Eq 18: sin(theta) sin(dlambda) / (2 tan(omega / 2))
             18,
             "change of overlap by heading",
-            [math.sin(theta) * math.sin(turn) / (2.0 * math.tan(0.5 * omega)) for turn, theta, omega in look],
+            [math.sin(theta) * math.sin(turn) / (2.0 * math.tan(0.5 * omega)) for turn, theta, omega in views],
             [
                 geometry.overlap_change_by_heading(heading_change=turn, off_nadir=theta, field_of_view=omega)
-                for turn, theta, omega in look
+                for turn, theta, omega in views
             ],
             "coverage.geometry.overlap_change_by_heading",
         ),
@@ -98,12 +98,12 @@ def attitude() -> list[Claim]:
             by_pitch,
             [
                 geometry.overlap_change_by_pitch(pitch_change=turn, off_nadir=theta, field_of_view=omega)
-                for turn, theta, omega in look
+                for turn, theta, omega in views
             ],
             "coverage.geometry.overlap_change_by_pitch",
             cause="the sign of Table 2 is missing: nose up moves the frame on",
             right=[-change for change in by_pitch],
-            independent=[_pitched(*one) for one in look],
+            independent=[_pitched(*one) for one in views],
         ),
         claim(  # Eq 20: 1 - L_step cos(theta) / (2 H tan(omega / 2))
             20,
@@ -125,7 +125,7 @@ def attitude() -> list[Claim]:
         claim(  # Eq 22: (1 - rho0) (1 - cos(theta + dalpha) / cos(theta))
             22,
             "change of overlap by roll",
-            [(1.0 - wish) * (1.0 - math.cos(theta + turn) / math.cos(theta)) for turn, theta, wish in rolls],
+            [(1.0 - required) * (1.0 - math.cos(theta + turn) / math.cos(theta)) for turn, theta, required in rolls],
             by_roll,
             "coverage.geometry.overlap_change_by_roll",
         ),
@@ -138,6 +138,8 @@ def _pitched(turn: float, theta: float, omega: float) -> float:
     return float(-sight[0] / sight[2] / length_of_eq_1(1.0, theta, omega))
 
 
-def _eq_21(turn: float, theta: float, wish: float, height: float = 8143.0, omega: float = math.radians(0.88)) -> float:
-    step = 2.0 * height * math.tan(0.5 * omega) / math.cos(theta) * (1.0 - wish)
+def _eq_21(
+    turn: float, theta: float, required: float, height: float = 8143.0, omega: float = math.radians(0.88)
+) -> float:
+    step = 2.0 * height * math.tan(0.5 * omega) / math.cos(theta) * (1.0 - required)
     return step / (2.0 * height * math.tan(0.5 * omega)) * (math.cos(theta) - math.cos(theta + turn))

@@ -14,12 +14,12 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.sensor import Pose, Trajectory
 from jaxgeo.studies.claims import Claim
 from jaxgeo.studies.li2020 import printed
-from jaxgeo.studies.li2020.equations.common import FLOWN, HEIGHTS, PERIOD, SCENES, SPEED, SWING, WISHES, claim
+from jaxgeo.studies.li2020.equations.common import FLOWN, HEIGHTS, PERIOD, REQUIRED, SCENES, SPEED, SWING, claim
 
 
 def timing() -> list[Claim]:
     """Eqs 27 to 36."""
-    planned = [(*scene, wish) for scene, wish in zip(SCENES, WISHES, strict=True)]
+    planned = [(*scene, required) for scene, required in zip(SCENES, REQUIRED, strict=True)]
     speed, period, roll = 172.25, 2.3, math.radians(printed.TABLE_4[0].roll)
     changes = (5.0, -8.0)
     heights = [(ground, aircraft) for ground in (100.0, -250.0) for aircraft in (0.0, 60.0)]
@@ -30,7 +30,7 @@ def timing() -> list[Claim]:
     def opening(omega: float) -> float:
         return 2.0 * math.tan(0.5 * omega)
 
-    def look(height: float, theta: float, omega: float) -> dict[str, float]:
+    def view(height: float, theta: float, omega: float) -> dict[str, float]:
         return {"height_above_ground": height, "off_nadir": theta, "field_of_view": omega}
 
     def with_omega(number: int, what: str, formula: Callable[..., float], ours: Any, name: str, **more: Any) -> Claim:
@@ -69,8 +69,8 @@ def timing() -> list[Claim]:
         with_omega(  # Eq 29: T = omega (1 - rho) H / (V sin(theta)), theta from the horizontal
             29,
             "period from strip to strip",
-            lambda height, theta, w, wish: w * (1.0 - wish) * height / (speed * math.cos(theta)),
-            [geometry.period_of_overlap(overlap=one[3], speed=speed, **look(*one[:3])) for one in planned],
+            lambda height, theta, w, required: w * (1.0 - required) * height / (speed * math.cos(theta)),
+            [geometry.period_of_overlap(overlap=one[3], speed=speed, **view(*one[:3])) for one in planned],
             "period_of_overlap",
             cases=planned,
             unit="s",
@@ -79,7 +79,7 @@ def timing() -> list[Claim]:
             30,
             "overlap of a period",
             lambda height, theta, w: 1.0 - period * speed * math.cos(theta) / (height * w),
-            [geometry.overlap_of_period(period=period, speed=speed, **look(*one)) for one in SCENES],
+            [geometry.overlap_of_period(period=period, speed=speed, **view(*one)) for one in SCENES],
             "overlap_of_period",
             cases=SCENES,
         ),
@@ -88,7 +88,7 @@ def timing() -> list[Claim]:
             "change of overlap by speed",
             lambda height, theta, w, change: -period * change / height * math.cos(theta) / roll,
             [
-                geometry.overlap_change_by_speed(speed_change=one[3], period=period, **look(*one[:3]))
+                geometry.overlap_change_by_speed(speed_change=one[3], period=period, **view(*one[:3]))
                 for one in [(*scene, change) for scene in SCENES for change in changes]
             ],
             "overlap_change_by_speed",
@@ -110,15 +110,15 @@ def timing() -> list[Claim]:
             33,
             "overlap of a path",
             lambda height, theta, w: 1.0 - 385.0 / height * math.cos(theta) / w,
-            [geometry.overlap_of_path(path=385.0, **look(*one)) for one in SCENES],
+            [geometry.overlap_of_path(path=385.0, **view(*one)) for one in SCENES],
             "overlap_of_path",
             cases=SCENES,
         ),
         with_omega(  # Eq 34: P = H omega (1 - rho) / sin(theta)
             34,
             "path of an overlap",
-            lambda height, theta, w, wish: height * w * (1.0 - wish) / math.cos(theta),
-            [geometry.path_of_overlap(overlap=one[3], **look(*one[:3])) for one in planned],
+            lambda height, theta, w, required: height * w * (1.0 - required) / math.cos(theta),
+            [geometry.path_of_overlap(overlap=one[3], **view(*one[:3])) for one in planned],
             "path_of_overlap",
             cases=planned,
             unit="m",
@@ -137,10 +137,10 @@ def timing() -> list[Claim]:
         with_omega(  # Eq 36: integral of V / H = omega (1 - rho) / sin(theta)
             36,
             "integral of speed over height of an overlap",
-            lambda height, theta, w, wish: w * (1.0 - wish) / math.cos(theta),
+            lambda height, theta, w, required: w * (1.0 - required) / math.cos(theta),
             [
-                geometry.velocity_height_of_overlap(overlap=wish, off_nadir=theta, field_of_view=omega)
-                for _, theta, omega, wish in planned
+                geometry.velocity_height_of_overlap(overlap=required, off_nadir=theta, field_of_view=omega)
+                for _, theta, omega, required in planned
             ],
             "velocity_height_of_overlap",
             cases=planned,

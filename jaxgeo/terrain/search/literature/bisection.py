@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
-from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, is_buried, is_mapped, reach_of
+from jaxgeo.terrain.interface import AbstractSearch, Bracket
+from jaxgeo.terrain.search.reach import is_buried, is_mapped, reach_of
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.fixed_point import iterate, middle_height
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search
 
 
 class ImprovedLiteral(AbstractStudiedSearch):
@@ -49,8 +49,8 @@ class ImprovedLiteral(AbstractStudiedSearch):
         most = jnp.asarray(self.outward)
         start = middle_height(descent, self.start)
 
-        def step(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
-            return _to_line(descent, look, most)
+        def step(descent: Descent, sample: DemSample) -> tuple[Scalar, Index]:
+            return _to_line(descent, sample, most)
 
         return iterate(descent, start, step, jnp.asarray(self.eps), jnp.asarray(self.limit))
 
@@ -71,11 +71,11 @@ class ImprovedSecant(AbstractStudiedSearch):
         return iterate(descent, start, secant_step, jnp.asarray(self.eps), jnp.asarray(self.limit))
 
 
-def secant_step(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
+def secant_step(descent: Descent, sample: DemSample) -> tuple[Scalar, Index]:
     """Next height by the secant through (Z, D(Z)) and (h, D(h)); infinite if the secant is level."""
-    below = descent.look(look.ground)
-    rise = below.clearance - look.clearance
-    height = look.height + look.clearance**2 / jnp.where(rise == 0.0, 1.0, rise)
+    below = descent.sample_at(sample.ground)
+    rise = below.clearance - sample.clearance
+    height = sample.height + sample.clearance**2 / jnp.where(rise == 0.0, 1.0, rise)
     return jnp.where(rise == 0.0, jnp.inf, height), jnp.asarray(1, jnp.int32)
 
 
@@ -87,24 +87,24 @@ class _Outward(Record):
     now: Scalar
 
 
-def _to_line(descent: Descent, look: DemSample, most: Index) -> tuple[Scalar, Index]:
+def _to_line(descent: Descent, sample: DemSample, most: Index) -> tuple[Scalar, Index]:
     """Intersection of the ray with the line through 1 (ground below A) and 2 (ground hit horizontally outward)."""
-    unit = descent.post_step() * jnp.where(look.clearance > 0.0, 1.0, -1.0)
+    unit = descent.post_step() * jnp.where(sample.clearance > 0.0, 1.0, -1.0)
 
     def is_going_on(walk: _Outward) -> Flag:
-        return ((walk.now > 0.0) == (look.clearance > 0.0)) & (walk.count < most)
+        return ((walk.now > 0.0) == (sample.clearance > 0.0)) & (walk.count < most)
 
     def advance(walk: _Outward) -> _Outward:
-        ahead = descent.look_along(look.distance + unit * (walk.count + 1), look.height)
+        ahead = descent.sample_along(sample.distance + unit * (walk.count + 1), sample.height)
         return _Outward(walk.count + 1, walk.now, ahead.clearance)
 
-    walk = _Outward(jnp.asarray(0, jnp.int32), look.clearance, look.clearance)
+    walk = _Outward(jnp.asarray(0, jnp.int32), sample.clearance, sample.clearance)
     walk = jax.lax.while_loop(is_going_on, advance, walk)
-    is_met = (walk.now > 0.0) != (look.clearance > 0.0)
+    is_met = (walk.now > 0.0) != (sample.clearance > 0.0)
     part = walk.before / jnp.where(is_met, walk.before - walk.now, 1.0)
     outward = unit * (walk.count - 1 + part)
-    fall = descent.sinking(look.distance)
-    climb = jnp.where(is_met, look.clearance / jnp.where(is_met, outward, 1.0), 0.0)
+    fall = descent.sinking(sample.distance)
+    climb = jnp.where(is_met, sample.clearance / jnp.where(is_met, outward, 1.0), 0.0)
     meeting = fall + climb
-    height = look.height - fall * look.clearance / jnp.where(meeting == 0.0, 1.0, meeting)
+    height = sample.height - fall * sample.clearance / jnp.where(meeting == 0.0, 1.0, meeting)
     return jnp.where(meeting == 0.0, jnp.inf, height), walk.count

@@ -1,9 +1,8 @@
-"""Base class and shared geometry of ray-terrain intersection searches."""
+"""The part of a ray in which it can meet the terrain, and whether it starts below it."""
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
@@ -16,7 +15,6 @@ from jaxgeo.earth.ray import Ray
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
-    from jaxgeo.terrain.interface import Bracket
 
 CEILING_MARGIN = 1.0  # m above the highest ground, so that a search starts clearly above the surface
 ON_GROUND = 1e-6  # m; a ray that starts closer to the ground starts on it, whatever the sign of the rounding
@@ -27,14 +25,6 @@ AROUND = 0.01  # rad of arc added to the cone about a grid's corners, because no
 WIDER = 1.1  # factor on the cone, because grid edges bulge
 WIDEST = 1.5  # rad; a wider cone is assumed to hold every ray
 TRUSTED = math.pi / 3.0  # rad of arc beyond a grid's corners within which its map is valid
-
-
-class AbstractSearch(Record):
-    """Base class of searches for a ray's crossing of a DEM surface; inputs and bracket carry no derivatives."""
-
-    @abstractmethod
-    def bracket(self, ray: Ray, dem: Dem) -> Bracket:
-        """The crossing of `ray` (ECEF) and `dem` that this search finds, with its cell and status."""
 
 
 class Reach(Record):

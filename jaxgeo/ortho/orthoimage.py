@@ -31,7 +31,7 @@ class Orthoimage(Record):
 
         Raises `ValueError` for other shapes, and if no cell is known.
 
-        >>> from jaxgeo.register import Orthoimage
+        >>> from jaxgeo.ortho import Orthoimage
         >>> from jaxgeo.terrain import TangentGrid
         >>> middle = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
         >>> grid = TangentGrid.centred(middle, spacing=(0.5, 0.5), shape=(4, 6))

@@ -70,11 +70,11 @@ class Descent(Record):
 
         return jax.lax.fori_loop(0, NEWTON_STEPS, newton, distance)
 
-    def look(self, height: Scalar) -> DemSample:
+    def sample_at(self, height: Scalar) -> DemSample:
         """h(Z): one evaluation of the DEM."""
         return self._look_from(self.range_at(height), height)
 
-    def look_along(self, distance: Scalar, height: Scalar) -> DemSample:
+    def sample_along(self, distance: Scalar, height: Scalar) -> DemSample:
         """The ground under the ray's point at a range, paired with a height other than the ray's: one evaluation."""
         return self._look_from(distance, height)
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Float32, Int
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84
-from jaxgeo.register.cells import View
+from jaxgeo.ortho.cells import View
 from jaxgeo.sensor import Shot
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.terrain.grid import surface_point

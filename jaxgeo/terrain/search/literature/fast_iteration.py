@@ -22,10 +22,10 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
-from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search, ending_where
+from jaxgeo.terrain.search.literature.window import AbstractWindow, TargetArea
 
 STUCK = 1e-9  # m between the middle and the upper end: resolution of heights
 
@@ -46,31 +46,31 @@ class FastIteration(AbstractStudiedSearch):
     def search(self, descent: Descent) -> Search:
         eps, limit = jnp.asarray(self.eps), jnp.asarray(self.limit)
         _, highest = self.window.heights(descent)
-        top = descent.look(highest)
+        top = descent.sample_at(highest)
 
         def is_going_on(state: _State) -> Flag:
-            is_met = (state.look.clearance >= 0.0) & (state.look.clearance <= eps) & (state.iterations > 0)
-            is_stuck = (state.look.clearance < 0.0) & (jnp.abs(state.high - state.low) < STUCK)
+            is_met = (state.sample.clearance >= 0.0) & (state.sample.clearance <= eps) & (state.iterations > 0)
+            is_stuck = (state.sample.clearance < 0.0) & (jnp.abs(state.high - state.low) < STUCK)
             return ~is_met & ~is_stuck & (state.iterations < limit)
 
         def halve(state: _State) -> _State:
-            look = descent.look(0.5 * (state.high + state.low))
-            is_above = look.clearance > eps
-            high = jnp.where(is_above, look.height, state.high)
-            low = jnp.where(is_above, look.ground, look.height)
-            return _State(look, high, low, state.iterations + 1)
+            sample = descent.sample_at(0.5 * (state.high + state.low))
+            is_above = sample.clearance > eps
+            high = jnp.where(is_above, sample.height, state.high)
+            low = jnp.where(is_above, sample.ground, sample.height)
+            return _State(sample, high, low, state.iterations + 1)
 
         first = _State(top, highest, top.ground, jnp.asarray(0, jnp.int32))
         last = jax.lax.while_loop(is_going_on, halve, first)
-        is_met = (last.look.clearance >= 0.0) & (last.look.clearance <= eps) & (last.iterations > 0)
+        is_met = (last.sample.clearance >= 0.0) & (last.sample.clearance <= eps) & (last.iterations > 0)
         ending = ending_where(is_met, Ending.converged, ending_code(Ending.failed))
-        return Search(last.look, last.iterations + 1, last.iterations, ending)
+        return Search(last.sample, last.iterations + 1, last.iterations, ending)
 
 
 class _State(Record):
     """The last sample, the two heights to be averaged next, m, and the number of steps."""
 
-    look: DemSample
+    sample: DemSample
     high: Scalar
     low: Scalar
     iterations: Index

@@ -9,16 +9,16 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import Search, ending_where
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import Search, ending_where
 
 Step = Callable[[Descent, DemSample], tuple[Scalar, Index]]
 """From a sample at Z to the next height, and the number of evaluations used."""
 
 
 class _State(Record):
-    look: DemSample
+    sample: DemSample
     evaluations: Index
     iterations: Index
     has_left: Flag
@@ -40,26 +40,26 @@ def iterate(descent: Descent, start: Scalar, step: Step, eps: Scalar, limit: Ind
     bottom = descent.dem.floor - (descent.dem.ceiling - descent.dem.floor) - 1000.0
 
     def is_going_on(state: _State) -> Flag:
-        return ~state.has_left & (jnp.abs(state.look.clearance) > eps) & (state.iterations < limit)
+        return ~state.has_left & (jnp.abs(state.sample.clearance) > eps) & (state.iterations < limit)
 
     def advance(state: _State) -> _State:
-        height, evaluations = step(descent, state.look)
+        height, evaluations = step(descent, state.sample)
         is_finite = jnp.isfinite(height) & (height > bottom)
-        look = descent.look(jnp.where(is_finite, height, state.look.height))
-        left = ~is_finite | (look.distance < 0.0) | (state.has_been_inside & ~look.is_inside)
+        sample = descent.sample_at(jnp.where(is_finite, height, state.sample.height))
+        left = ~is_finite | (sample.distance < 0.0) | (state.has_been_inside & ~sample.is_inside)
         return _State(
-            look,
+            sample,
             state.evaluations + evaluations + 1,
             state.iterations + 1,
             left,
-            state.has_been_inside | look.is_inside,
+            state.has_been_inside | sample.is_inside,
         )
 
-    look = descent.look(start)
+    sample = descent.sample_at(start)
     none = jnp.asarray(0, jnp.int32)
-    first = _State(look, none + 1, none, jnp.asarray(False), look.is_inside)
+    first = _State(sample, none + 1, none, jnp.asarray(False), sample.is_inside)
     last = jax.lax.while_loop(is_going_on, advance, first)
-    is_met = jnp.abs(last.look.clearance) <= eps
+    is_met = jnp.abs(last.sample.clearance) <= eps
     ending = ending_where(is_met, Ending.converged, ending_code(Ending.cycled))
     ending = ending_where(last.has_left, Ending.diverged, ending)
-    return Search(last.look, last.evaluations, last.iterations, ending)
+    return Search(last.sample, last.evaluations, last.iterations, ending)

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
-from jaxgeo.terrain.search.window import AbstractWindow, WholeTerrain
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search, ending_where
+from jaxgeo.terrain.search.literature.window import AbstractWindow, WholeTerrain
 
 
 class ExhaustiveFirst(AbstractStudiedSearch):
@@ -39,16 +39,18 @@ class ExhaustiveFirst(AbstractStudiedSearch):
         count = tries(lowest, highest, step)
 
         def is_going_on(state: tuple[DemSample, Index]) -> Flag:
-            look, tried = state
-            return (look.clearance > eps) & (tried < count)
+            sample, tried = state
+            return (sample.clearance > eps) & (tried < count)
 
         def advance(state: tuple[DemSample, Index]) -> tuple[DemSample, Index]:
             _, tried = state
-            return descent.look(highest - step * tried), tried + 1
+            return descent.sample_at(highest - step * tried), tried + 1
 
-        look, tried = jax.lax.while_loop(is_going_on, advance, (descent.look(highest), jnp.asarray(1, jnp.int32)))
-        ending = ending_where(look.clearance <= eps, Ending.converged, ending_code(Ending.failed))
-        return Search(look, tried, tried, ending)
+        sample, tried = jax.lax.while_loop(
+            is_going_on, advance, (descent.sample_at(highest), jnp.asarray(1, jnp.int32))
+        )
+        ending = ending_where(sample.clearance <= eps, Ending.converged, ending_code(Ending.failed))
+        return Search(sample, tried, tried, ending)
 
 
 class ExhaustiveNearest(AbstractStudiedSearch):
@@ -81,7 +83,7 @@ def nearest_of(descent: Descent, highest: Scalar, step: Scalar, count: Index) ->
     """Of `count` heights from `highest` down, the sample with the least |D|; the highest among equals."""
 
     def try_next(k: Index, best: DemSample) -> DemSample:
-        look = descent.look(highest - step * k)
-        return tree_where(jnp.abs(look.clearance) < jnp.abs(best.clearance), look, best)
+        sample = descent.sample_at(highest - step * k)
+        return tree_where(jnp.abs(sample.clearance) < jnp.abs(best.clearance), sample, best)
 
-    return jax.lax.fori_loop(1, count, try_next, descent.look(highest))
+    return jax.lax.fori_loop(1, count, try_next, descent.sample_at(highest))

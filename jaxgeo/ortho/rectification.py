@@ -21,11 +21,11 @@ from jaxgeo._checks import as_float64, check_is
 from jaxgeo._record import Record, packed, unpacked
 from jaxgeo.earth import Atmosphere
 from jaxgeo.observation import accepts_exposure
-from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
-from jaxgeo.register.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
-from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
-from jaxgeo.register.orthoimage import Orthoimage
-from jaxgeo.register.visibility_bounds import OpenSight
+from jaxgeo.ortho.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
+from jaxgeo.ortho.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
+from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
+from jaxgeo.ortho.orthoimage import Orthoimage
+from jaxgeo.ortho.visibility_bounds import OpenSight
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain

@@ -13,10 +13,10 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, StatusCode
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, first_failure, status_where
-from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, is_buried, is_mapped, reach_of
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, Run, ending_code
+from jaxgeo.terrain.interface import AbstractSearch, Bracket
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, Run, ending_code
+from jaxgeo.terrain.search.reach import is_buried, is_mapped, reach_of
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
@@ -27,7 +27,7 @@ EPS = 0.2  # m: the tolerance of the experiments of Li et al. (2023), section 5.
 class Search(Record):
     """End of a studied search: its last sample, its cost, and the int8 `Ending`."""
 
-    look: DemSample
+    sample: DemSample
     evaluations: Index
     iterations: Index
     ending: Int8[Array, ""]
@@ -73,13 +73,15 @@ class AbstractStudiedSearch(AbstractSearch):
     def run_from(self, approach: Approach, dem: Dem) -> Run:
         """`run` for a ray with a known `approach` over `dem`, so that several searches can share it."""
         done = self.search(Descent.of(approach.ray, dem, approach.start))
-        look = done.look
-        cell = dem.cell_of(look.rowcol)
+        sample = done.sample
+        cell = dem.cell_of(sample.rowcol)
         status = first_failure(approach.obstacle, _status(done, dem))
         has_point = (status == Status.hit) | (status == Status.hits_void)
         is_lost = (approach.obstacle != Status.hit) | ((done.ending == Ending.converged) & ~has_point)
         ending = ending_where(is_lost, Ending.failed, done.ending)
-        return Run(look.distance, look.height, look.clearance, cell, done.evaluations, done.iterations, ending, status)
+        return Run(
+            sample.distance, sample.height, sample.clearance, cell, done.evaluations, done.iterations, ending, status
+        )
 
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
         run = self.run(ray, dem)
@@ -90,10 +92,10 @@ class AbstractStudiedSearch(AbstractSearch):
 
 def _status(done: Search, dem: Dem) -> StatusCode:
     """Status of a search's point, or the reason for having none."""
-    _, is_void = dem.patch(dem.cell_of(done.look.rowcol))
+    _, is_void = dem.patch(dem.cell_of(done.sample.rowcol))
     status = status_where(is_void, Status.hits_void, Status.hit.code)
-    status = status_where(~done.look.is_inside, Status.leaves_terrain, status)
-    has_none = (done.ending != Ending.converged) | (done.look.distance < 0.0)
+    status = status_where(~done.sample.is_inside, Status.leaves_terrain, status)
+    has_none = (done.ending != Ending.converged) | (done.sample.distance < 0.0)
     return status_where(has_none, Status.not_converged, status)
 
 

@@ -12,7 +12,7 @@ from support.ngi import Flight
 from support.phase_correlation import Shifts, shifts_of_tiles
 
 from jaxgeo.earth import WGS84
-from jaxgeo.register.rectify import Rectified, rectify
+from jaxgeo.ortho.rectification import Rectified, rectify
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 

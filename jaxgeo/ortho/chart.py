@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._typing import Flag, Scalar
-from jaxgeo.register.cells import Cells, View, heights_at, level_of, projected, where_any
+from jaxgeo.ortho.cells import Cells, View, heights_at, level_of, projected, where_any
 from jaxgeo.sensor import Shot
 from jaxgeo.sensor.sensor import Sight
 from jaxgeo.status import Status

@@ -16,8 +16,8 @@ from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.locate import FIRST_HIT, located_anywhere
 from jaxgeo.observation import Exposure, accepts_exposure
-from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
@@ -79,11 +79,11 @@ def render(
     rows, cols = _size_of(sensor)
     if supersampling < 1:
         raise ValueError(f"supersampling must be 1 ray a pixel along each axis or more; got {supersampling}.")
-    look = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=terrain)
+    inputs = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=terrain)
     total, seen, status = np.zeros(()), np.ones(rows * cols, bool), np.zeros(rows * cols, np.int8)
     pixels = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
     for offset in _offsets(supersampling):
-        value, is_known, code = seen_at(look, reference, pixels + offset[None, :], interpolation)
+        value, is_known, code = seen_at(inputs, reference, pixels + offset[None, :], interpolation)
         total, seen = total + value, seen & is_known
         status = np.where(status == Status.hit, code, status)
     means = np.where(seen[None, :], total / supersampling**2, 0.0)
@@ -91,14 +91,14 @@ def render(
 
 
 def seen_at(
-    look: ModelInputs, reference: Orthoimage, uv: Float[np.ndarray, "n 2"], how: AbstractInterpolation = BILINEAR
+    inputs: ModelInputs, reference: Orthoimage, uv: Float[np.ndarray, "n 2"], how: AbstractInterpolation = BILINEAR
 ) -> tuple[Float[np.ndarray, "bands n"], Bool[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
     """(orthoimage values at the first terrain hits of pixels, zero if unknown; mask of known values; the `Status`).
     Pixels may lie outside the image where the camera still defines rays."""
     pixels = Pixels.of(jnp.asarray(reference.values), jnp.asarray(reference.known))
     parts = []
     for part in _chunks(uv):
-        found = _met(look, part)
+        found = _met(inputs, part)
         parts.append((*_sampled_on(reference.grid, pixels, found, how), found.status))
     value, is_known, code = (
         np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True)
@@ -106,9 +106,9 @@ def seen_at(
     return value[:, : len(uv)], is_known[: len(uv)], code[: len(uv)]
 
 
-def met(look: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
+def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
     """First terrain hits of pixels; they may lie outside the image."""
-    parts = [_met(look, part) for part in _chunks(uv)]
+    parts = [_met(inputs, part) for part in _chunks(uv)]
     return Met(*(np.concatenate([np.asarray(x) for x in column])[: len(uv)] for column in zip(*parts, strict=True)))
 
 
@@ -118,13 +118,13 @@ def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
 
 
 @eqx.filter_jit
-def _met(look: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
+def _met(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
     """One shared program for all uses, since the terrain search takes long to compile."""
     nowhere = jnp.array([WGS84.a, 0.0, 0.0])
 
     def one(pixel: Float[Array, "2"]) -> tuple[Any, ...]:
         fix, bracket = located_anywhere(
-            look.sensor, look.motion, jnp.asarray(look.time), pixel, look.terrain, FIRST_HIT, look.air
+            inputs.sensor, inputs.motion, jnp.asarray(inputs.time), pixel, inputs.terrain, FIRST_HIT, inputs.air
         )
         hit = fix.status == Status.hit
         lat, lon, height = (jnp.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))

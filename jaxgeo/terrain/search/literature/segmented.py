@@ -19,13 +19,13 @@ import jax.numpy as jnp
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.exhaustive import nearest_of
-from jaxgeo.terrain.search.fixed_point import iterate, middle_height
-from jaxgeo.terrain.search.improved import secant_step
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
-from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.exhaustive import nearest_of
+from jaxgeo.terrain.search.literature.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.literature.improved import secant_step
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search, ending_where
+from jaxgeo.terrain.search.literature.window import AbstractWindow, TargetArea
 
 SHORTEST = 1e-6  # m between tries; without a crossing at this step there is none in the window
 
@@ -55,7 +55,7 @@ class Segmented(AbstractStudiedSearch):
         none = jnp.asarray(0, jnp.int32)
 
         def is_going_on(state: _State) -> Flag:
-            return ~is_met & (jnp.abs(state.look.clearance) > eps) & (state.step > SHORTEST)
+            return ~is_met & (jnp.abs(state.sample.clearance) > eps) & (state.step > SHORTEST)
 
         def narrow(state: _State) -> _State:
             step = 2.0 * state.half / segments
@@ -63,12 +63,12 @@ class Segmented(AbstractStudiedSearch):
             return _State(best, best.height, step, step, state.rounds + 1)
 
         half = 0.5 * (highest - lowest)
-        apart = eqx.tree_at(lambda look: look.ground, begun.look, begun.look.height - jnp.inf)
+        apart = eqx.tree_at(lambda sample: sample.ground, begun.sample, begun.sample.height - jnp.inf)
         first = _State(apart, 0.5 * (highest + lowest), half, jnp.asarray(jnp.inf), none)
         last = jax.lax.while_loop(is_going_on, narrow, first)
-        ending = ending_where(jnp.abs(last.look.clearance) <= eps, Ending.converged, ending_code(Ending.failed))
+        ending = ending_where(jnp.abs(last.sample.clearance) <= eps, Ending.converged, ending_code(Ending.failed))
         segmented = Search(
-            last.look,
+            last.sample,
             begun.evaluations + last.rounds * (segments + 1).astype(jnp.int32),
             begun.iterations + last.rounds,
             ending,
@@ -79,7 +79,7 @@ class Segmented(AbstractStudiedSearch):
 class _State(Record):
     """The best sample so far, the window as its middle and half width, and its step, m."""
 
-    look: DemSample
+    sample: DemSample
     middle: Scalar
     half: Scalar
     step: Scalar

@@ -16,9 +16,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from jaxgeo._typing import Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.fixed_point import iterate, middle_height
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search
 
 
 class Photogrammetric(AbstractStudiedSearch):
@@ -38,5 +38,5 @@ class Photogrammetric(AbstractStudiedSearch):
         return iterate(descent, start, _to_ground, jnp.asarray(self.eps), jnp.asarray(self.limit))
 
 
-def _to_ground(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
-    return look.ground, jnp.asarray(0, jnp.int32)
+def _to_ground(descent: Descent, sample: DemSample) -> tuple[Scalar, Index]:
+    return sample.ground, jnp.asarray(0, jnp.int32)

@@ -10,9 +10,9 @@ from support.fractal import fractal_posts
 
 from jaxgeo import ConstantHeight, Dem, FrameCamera, Geodetic, Gimbal, Mount, Sensor, Shot, Status, project
 from jaxgeo.earth import WGS84
-from jaxgeo.register.orthoimage import Orthoimage
-from jaxgeo.register.rectify import rectify
-from jaxgeo.register.render import render
+from jaxgeo.ortho.orthoimage import Orthoimage
+from jaxgeo.ortho.rectification import rectify
+from jaxgeo.ortho.rendering import render
 from jaxgeo.sensor import AbstractCamera
 from jaxgeo.studies.gu2017.scene import looking_at
 from jaxgeo.terrain import TangentGrid

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent
+from jaxgeo.terrain.search.literature.descent import Descent
 
 
 class AbstractWindow(Record):

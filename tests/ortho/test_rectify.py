@@ -31,11 +31,11 @@ from jaxgeo import (
 )
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import file_map
-from jaxgeo.register.cells import cells_one_by_one, may_be_hidden
-from jaxgeo.register.interpolation import Bilinear, Cubic, Nearest
-from jaxgeo.register.orthoimage import Orthoimage
-from jaxgeo.register.rectify import Rectifier, rectify
-from jaxgeo.register.visibility_bounds import OpenSight
+from jaxgeo.ortho.cells import cells_one_by_one, may_be_hidden
+from jaxgeo.ortho.interpolation import Bilinear, Cubic, Nearest
+from jaxgeo.ortho.orthoimage import Orthoimage
+from jaxgeo.ortho.rectification import Rectifier, rectify
+from jaxgeo.ortho.visibility_bounds import OpenSight
 from jaxgeo.sensor import BrownConrady
 from jaxgeo.terrain import ConstantField, FittedGrid, GeographicGrid, TangentGrid, TransverseMercatorGrid
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
@@ -45,7 +45,7 @@ CENTRE = Geodetic.from_degrees(lat=LAT, lon=LON, height=0.0)
 POSTS, SPACING = 49, 30.0  # m
 CELLS, CELL = (64, 64), 14.0  # m
 WIDTH, HEIGHT = 96, 72
-CROWD = 512
+BATCH = 512
 PLAIN = FrameCamera.from_pixels(focal_px=100.0, width=WIDTH, height=HEIGHT)
 LENS = FrameCamera.from_pixels(
     focal_px=(98.0, 101.0), principal_px=(50.0, 33.0), width=WIDTH, height=HEIGHT,
@@ -122,20 +122,20 @@ class Seen(NamedTuple):
 
 
 def _projected(sensor: Sensor, shot: Any, point: Any, **how: Any) -> tuple[np.ndarray, np.ndarray]:
-    """In parts of CROWD, which the search of lines of sight compiles for in a third of the time."""
+    """In parts of BATCH, which the search of lines of sight compiles for in a third of the time."""
 
     def one(lat: Any, lon: Any, height: Any) -> Any:
         found = project(sensor, shot, Geodetic(lat=lat, lon=lon, height=height), **how)
         return found.uv, found.status
 
-    parts = [jax.vmap(one)(*(x[k : k + CROWD] for x in point)) for k in range(0, len(point[0]), CROWD)]
+    parts = [jax.vmap(one)(*(x[k : k + BATCH] for x in point)) for k in range(0, len(point[0]), BATCH)]
     uv, status = (np.concatenate(x) for x in zip(*parts, strict=True))
     return uv, status
 
 
 @pytest.fixture(autouse=True)
-def small_crowds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules["jaxgeo.register.rectify"], "SEARCHED", CROWD)
+def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["jaxgeo.ortho.rectification"], "SEARCHED", BATCH)
 
 
 def expected(sensor: Sensor, shot: Any, terrain: Any, grid: AbstractGrid, *, mask: bool = True, **how: Any) -> Seen:
