@@ -37,7 +37,10 @@ def accuracy_map_dataset(found: AccuracyMap, raster: MapRaster | None = None) ->
     percent = f"with a probability of {found.probability:g}"
     codes = [(NO_FIX, "no_fix"), *((int(one), one.name) for one in Method)]
     data: dict[str, tuple[np.ndarray, dict[str, Any]]] = {
-        "circular_error": (np.asarray(found.circular), _attrs(f"horizontal radius that holds the truth {percent}", "m")),
+        "circular_error": (
+            np.asarray(found.circular),
+            _attrs(f"horizontal radius that holds the truth {percent}", "m"),
+        ),
         "linear_error": (np.asarray(found.linear), _attrs(f"height that holds the truth {percent}", "m")),
         "spherical_error": (np.asarray(found.spherical), _attrs(f"radius that holds the truth {percent}", "m")),
         "failed": (np.asarray(found.failed), _attrs("share of the samples without a fix", "1")),

@@ -49,7 +49,7 @@ def write_fixes(
     Columns are those of `jaxgeo.io.tables.FIX_COLUMNS` (on WGS 84, heights above its ellipsoid and above EGM96), and:
 
     - `accuracy`: the result of `accuracy` for each fix (a list with None where unknown), or of
-      `accuracy_of_each` or `accuracy_of_pixels` for all: radii such as `ce90_m`, `le90_m`, `se90_m`, infinite (in
+      `accuracy` for all: radii such as `ce90_m`, `le90_m`, `se90_m`, infinite (in
       GeoJSON null) where too many samples have no fix, and the method.
     - `cov_enu` (n, 3, 3) in m², east, north, up, and `bias_enu` (n, 3) in m, the mean error: rows of NaN where
       unknown. Radii and the semi-axes of the ellipse (centred on the fix plus the bias) are computed from

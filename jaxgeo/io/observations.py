@@ -20,14 +20,14 @@ from jaxgeo.io._fix_columns import figures_of, rows_of
 from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet, Unread, for_each, read_acquisition, read_acquisitions
 from jaxgeo.io.acquisitions._exposure_names import number_in_file
 from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, form_of
-from jaxgeo.io.acquisitions.sentences import told_once
+from jaxgeo.io.acquisitions.sentences import merged_sentences
 from jaxgeo.io.acquisitions.usual_errors import usual_errors_of
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import Scene, SceneError, read_scene
 from jaxgeo.io.tables import GIMBAL_REFERENCE, ShotTable, read_shots
 from jaxgeo.observation import Exposure, Observation
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor, Shot
-from jaxgeo.uncertainty import AccuracyOfEach
+from jaxgeo.uncertainty import Accuracy
 from jaxgeo.uncertainty.sources import (
     AbstractSource,
     Boresight,
@@ -222,7 +222,7 @@ class Observations:
         return self.with_sources([added(batch) for batch in self.batches])
 
     def table(
-        self, fixes: Fix, accuracy: AccuracyOfEach | None = None, *, reasons: Sequence[str | None] | None = None
+        self, fixes: Fix, accuracy: Accuracy | None = None, *, reasons: Sequence[str | None] | None = None
     ) -> list[Row]:
         """For each row its input columns, then the columns of `write_fixes` except `index`."""
         figures = figures_of("table", fixes, accuracy, None, None, None)
@@ -525,7 +525,7 @@ def _completed(
     found = found.with_parts(complete)
     defaults = tuple(
         (next(kind for sentence, kind in kinds.items() if one.startswith(sentence)), one)
-        for one in told_once(usual, "exposure")
+        for one in merged_sentences(usual, "exposure")
     )
     return found, scene, tuple(dict.fromkeys(held)), defaults
 

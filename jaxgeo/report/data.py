@@ -86,7 +86,7 @@ class ReportData:
         observed: Observations,
         grounds: Sequence[AbstractTerrain],
         fixes: Fix,
-        accuracy: AccuracyOfEach | None,
+        accuracy: Accuracy | None,
         probability: float = 0.9,
     ) -> ReportData:
         """Observations with their fixes and accuracy, without rows whose file could not be read.

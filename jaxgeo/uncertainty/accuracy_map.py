@@ -189,7 +189,7 @@ def accuracy_of_cells(
     within, seen = select((some, nominals), has_fix) if index.size else (index, (some, located[0][0]))
     size = block_size(len(seen[0].uv), request.block)
     blocks = blocks_of(seen, size, "estimating accuracy", progress)
-    assessed = [_assess(*part, context, model, request) for part in blocks]
+    assessed = [_assess(some, nominals, context, model, request) for some, nominals in blocks]
     found, radii = concatenate(assessed, within.size)
 
     def observation_at(number: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
