@@ -209,7 +209,7 @@ def _seen(part: Any, lanes: list[tuple[int, int]], pixels: Any) -> Seen:
 def _with_cameras(found: Any, asked: LocateOptions, by_scene: bool) -> tuple[Any, Any, list[str], list[str]]:
     """(exposures with a camera, the scene's if they have none, and with errors; the scene's atmosphere; assumptions on
     the gimbal; on errors). `by_scene`: their camera was already read from the scene."""
-    from jaxgeo.io.acquisitions.sentences import told_once
+    from jaxgeo.io.acquisitions.sentences import merged_sentences
     from jaxgeo.io.scene import read_scene
 
     bare = [part for part in found.parts if part.sensor is None]
@@ -237,7 +237,7 @@ def _with_cameras(found: Any, asked: LocateOptions, by_scene: bool) -> tuple[Any
 
     found = found.with_parts(complete)
     air = None if scene is None else scene.atmosphere
-    return found, air, list(dict.fromkeys(held)), list(told_once(usual, "exposure"))
+    return found, air, list(dict.fromkeys(held)), list(merged_sentences(usual, "exposure"))
 
 
 def _without_bare(found: Any, asked: LocateOptions) -> Any:
