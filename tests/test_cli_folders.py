@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import TableError, UnstatedDatum, read_acquisitions
-from jaxgeo.io.acquisitions.sentences import told_once
+from jaxgeo.io.acquisitions.sentences import merged_sentences
 from jaxgeo.uncertainty import sources
 
 DJI = {
@@ -116,7 +116,7 @@ def test_an_image_without_rtk_does_not_take_it_from_others(sure: dict) -> None:
     assert any("Position sigma: 3, 3, 5 m" in one and one.endswith("(1 of 2 exposures)") for one in sure["assumed"])
 
 
-def test_what_is_assumed_is_told_once_with_the_number_of_files(located: dict) -> None:
+def test_what_is_assumed_is_merged_sentences_with_the_number_of_files(located: dict) -> None:
     told = located["assumed"]
     assert len(told) == len(set(told))
     assert any("free of distortion" in one and one.endswith("(3 of 4 files)") for one in told)
@@ -360,11 +360,11 @@ def test_images_of_one_structure_are_one_batch(tmp_path: pathlib.Path) -> None:
     np.testing.assert_allclose(np.rad2deg(part.shots.pose.position.lat)[:5], 36.31 + 0.001 * np.arange(5))
 
 
-def test_told_once_keeps_order_and_counts() -> None:
-    assert told_once([["A."], ["A."]], "file") == ("A.",)
-    assert told_once([["A.", "B."], ["B."], []], "file") == ("A. (1 of 3 files)", "B. (2 of 3 files)")
-    assert told_once([["By 1."], ["By 2."]], "file") == ("By 1. (2 of 2 files, other numbers in some)",)
-    assert told_once([], "file") == ()
+def test_merged_sentences_keeps_order_and_counts() -> None:
+    assert merged_sentences([["A."], ["A."]], "file") == ("A.",)
+    assert merged_sentences([["A.", "B."], ["B."], []], "file") == ("A. (1 of 3 files)", "B. (2 of 3 files)")
+    assert merged_sentences([["By 1."], ["By 2."]], "file") == ("By 1. (2 of 2 files, other numbers in some)",)
+    assert merged_sentences([], "file") == ()
 
 
 LENS = "[camera]\nwidth = {}\nheight = {}\nfocal_px = {}\n[errors]\nfocal_px = {}\nprincipal_px = {}\n"

@@ -251,7 +251,7 @@ def test_a_focal_length_from_target_width_errs_more_than_one_that_is_told(file: 
     told = without(16, 17) | {22: whole(400.0, 0.0, 10_000.0, ">H")}
     given = "focal=700px,size=1280x720"
     for packets, shares, words in (
-        ((MADE,), [0.01], ["1 % by fields of view in the packets (standard deviation)"]),
+        ((MADE,), [0.01], ["1 % by fields of view in the packets;"]),
         ((told,), [0.05], ["5 % by target width and slant range;"]),
         ((told, MADE), [0.05, 0.01], ["1 % by fields of view in the packets, 5 % by target width and slant range"]),
     ):
