@@ -28,12 +28,12 @@ from typing import TYPE_CHECKING, Any
 
 from jaxgeo import uncertainty
 from jaxgeo._checks import enable_x64
+from jaxgeo._locate import at_range, intersect, locate, project
 from jaxgeo._renamed import renamed
 from jaxgeo.batches import in_batches
 from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
-from jaxgeo.locate import at_range, intersect, locate, project
 from jaxgeo.observation import Exposure, Observation
 from jaxgeo.sensor import (
     BrownConrady,

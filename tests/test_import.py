@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
+import pkgutil
 import subprocess
 import sys
 
@@ -50,4 +53,18 @@ def test_public_names_exist() -> None:
     assert set(names) <= set(jaxgeo.__all__)
     for name in jaxgeo.__all__:
         assert getattr(jaxgeo, name) is not None
-    assert jaxgeo.locate is not sys.modules["jaxgeo.locate"], "the function, not the module of the same name"
+
+
+def test_no_public_name_hides_a_module() -> None:
+    import jaxgeo
+
+    packages = ["jaxgeo", *(one.name for one in pkgutil.walk_packages(jaxgeo.__path__, "jaxgeo.") if one.ispkg)]
+    packages = [name for name in packages if not name.startswith("jaxgeo.studies")]  # programs, no interface
+    assert len(packages) > 10
+    hidden = []
+    for name in packages:
+        package = importlib.import_module(name)
+        modules = [one.name for one in pkgutil.iter_modules(package.__path__)]
+        public = [module for module in modules if not module.startswith("_")]
+        hidden += [f"{name}.{one}" for one in public if not inspect.ismodule(getattr(package, one, inspect))]
+    assert not hidden, f"functions or classes with the name of their module: {hidden}"

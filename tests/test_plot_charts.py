@@ -22,7 +22,7 @@ from jaxgeo.plot import style
 from jaxgeo.plot.cloud import ground_about
 from jaxgeo.status import Status
 from jaxgeo.uncertainty import Budget, Comparison
-from jaxgeo.uncertainty.budget import Variance
+from jaxgeo.uncertainty._budget import Variance
 from tests.support.drawn import (
     a_budget,
     adjusted,

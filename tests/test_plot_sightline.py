@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from jaxgeo import Dem, FrameCamera, Geodetic
+from jaxgeo._locate import intersect
 from jaxgeo.demo.scene import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
-from jaxgeo.locate import intersect
 from jaxgeo.plot import Section, section_under, sight_section
 from jaxgeo.status import Status
 from tests.support.drawn import a_section, line, new_axes, words

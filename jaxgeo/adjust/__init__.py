@@ -1,11 +1,12 @@
 """Multi-image adjustment: forward intersection, bundle adjustment, boresight and sensor calibration."""
 
 from jaxgeo._renamed import renamed
+from jaxgeo.adjust._calibration import Calibration, calibration
+from jaxgeo.adjust._reliability import Blunder, Reliability, blunders, reliability
 from jaxgeo.adjust.adjustment import Adjustment, Parameter
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
 from jaxgeo.adjust.bundle import BehindCamera, InnerConstraints, NotConverged, adjust
-from jaxgeo.adjust.calibration import Calibration, calibration
 from jaxgeo.adjust.diagnosis import Diagnosis, Misfit, Move
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
@@ -14,7 +15,6 @@ from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tuke
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.rank_defects import DeficientBlock, Direction
 from jaxgeo.adjust.records import ImagePoints
-from jaxgeo.adjust.reliability import Blunder, Reliability, blunders, reliability
 from jaxgeo.adjust.resection import resect_block, resect_image
 from jaxgeo.adjust.screening import ControlElsewhere, Screen, Screened, screen
 from jaxgeo.adjust.snooping import without_blunders

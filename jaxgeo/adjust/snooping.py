@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._renamed import renamed_argument
+from jaxgeo.adjust._reliability import Blunder, named
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.bundle import BehindCamera, InnerConstraints, adjusted
@@ -20,7 +21,6 @@ from jaxgeo.adjust.losses import AbstractLoss, Cauchy, LeastSquares
 from jaxgeo.adjust.measurements import image_residuals
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.ray_consensus import Rays
-from jaxgeo.adjust.reliability import Blunder, named
 from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Solver, solve
 from jaxgeo.adjust.terrain_heights import HeightObservations

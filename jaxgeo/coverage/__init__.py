@@ -1,12 +1,12 @@
 """Image coverage planning: footprints, overlap, pointing and exposure timing."""
 
 from jaxgeo._renamed import renamed
+from jaxgeo.coverage._footprint import Footprint, GroundSampleDistance, footprint, ground_sample_distance
+from jaxgeo.coverage._overlap import Overlap, flight_direction, overlap
 from jaxgeo.coverage.clock import ExposureClock
 from jaxgeo.coverage.exposure import Image, MovingExposure, local_projection, near_edge
 from jaxgeo.coverage.flight import Compensation, FlightNoise, Strip
-from jaxgeo.coverage.footprint import Footprint, GroundSampleDistance, footprint, ground_sample_distance
 from jaxgeo.coverage.gaps import Flights, LinearGaps, fly, linear_gaps, linear_is_valid, required_overlap
-from jaxgeo.coverage.overlap import Overlap, flight_direction, overlap
 from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point_gimbal
 from jaxgeo.coverage.polygons import VisibleGround, polygon_overlap, visible_ground
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan

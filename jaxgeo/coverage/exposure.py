@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import checked_exposure
 from jaxgeo._checks import check_is
+from jaxgeo._locate import FIRST_HIT, locate
 from jaxgeo._numerics import dot
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
-from jaxgeo.locate import FIRST_HIT, locate
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractTerrain

@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is, check_range
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import cross, matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
-from jaxgeo.coverage.exposure import Along, near_edge, near_length
-from jaxgeo.coverage.overlap import (
+from jaxgeo.coverage._overlap import (
     GroundEdges,
     Overlap,
     axis_along,
@@ -28,8 +28,8 @@ from jaxgeo.coverage.overlap import (
     ground_edges,
     shared,
 )
+from jaxgeo.coverage.exposure import Along, near_edge, near_length
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned, TransverseMercator
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Pose, Sensor, Shot
 from jaxgeo.sensor.aiming import aim
 from jaxgeo.sensor.line_of_sight import LineOfSight

@@ -19,7 +19,7 @@ from jaxgeo._typing import Scalar
 from jaxgeo.coverage.exposure import end_places
 from jaxgeo.coverage.flight import SPECS, Compensation, FlightNoise, Strip, flown, normals_of, shots_of, specs_of
 from jaxgeo.status import Status
-from jaxgeo.uncertainty.accuracy import accuracy
+from jaxgeo.uncertainty._accuracy import accuracy
 from jaxgeo.uncertainty.draws import Random
 from jaxgeo.uncertainty.method_selection import Method
 from jaxgeo.uncertainty.model import ErrorModel

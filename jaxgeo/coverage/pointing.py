@@ -12,11 +12,11 @@ from jaxtyping import Array, Bool
 
 from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._locate import FIRST_HIT, visibility
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, StatusCode, StatusField
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
-from jaxgeo.locate import FIRST_HIT, visibility
 from jaxgeo.observation import accepts_exposure
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.sensor.aiming import Aimed, aim, aim_along

@@ -12,14 +12,14 @@ from jaxtyping import Array, Float, Int8
 
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import check_is
+from jaxgeo._locate import FIRST_HIT, project
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, StatusCode, StatusField
 from jaxgeo.coverage._checks import checked_positive
+from jaxgeo.coverage._footprint import Footprint
 from jaxgeo.coverage.exposure import Image, checked_image, motion_of, on_map
-from jaxgeo.coverage.footprint import Footprint
 from jaxgeo.earth import Atmosphere, Geodetic, TransverseMercator
-from jaxgeo.locate import FIRST_HIT, project
 from jaxgeo.sensor import Sensor
 from jaxgeo.status import Status, first_failure
 from jaxgeo.terrain import AbstractTerrain

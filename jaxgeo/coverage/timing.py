@@ -16,13 +16,12 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_finite, check_is
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
-from jaxgeo.coverage._too_short import no_ground, refuse_too_short, too_few
-from jaxgeo.coverage.exposure import Along, MovingExposure, local_projection, near_length, on_map
-from jaxgeo.coverage.overlap import (
+from jaxgeo.coverage._overlap import (
     STATIONS,
     GroundEdges,
     Overlap,
@@ -34,8 +33,9 @@ from jaxgeo.coverage.overlap import (
     ground_edges,
     shared,
 )
+from jaxgeo.coverage._too_short import no_ground, refuse_too_short, too_few
+from jaxgeo.coverage.exposure import Along, MovingExposure, local_projection, near_length, on_map
 from jaxgeo.earth import WGS84, Atmosphere, R_ecef_from_ned, TransverseMercator
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Trajectory
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 

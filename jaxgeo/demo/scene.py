@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._locate import locate, project
 from jaxgeo._numerics import safe_angle, safe_norm
 from jaxgeo._record import Record
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
-from jaxgeo.locate import locate, project
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Sensor, Shot
 from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import (

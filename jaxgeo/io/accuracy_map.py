@@ -22,7 +22,7 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import NO_FIX, AccuracyMap, ErrorModel, Method, accuracy_map
-from jaxgeo.uncertainty.accuracy_map import checked_map
+from jaxgeo.uncertainty._accuracy_map import checked_map
 from jaxgeo.uncertainty.sampling import accepts_sampling_options
 
 COG = {"compress": "deflate", "predictor": "yes", "overview_resampling": "nearest"}

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
-from jaxgeo.coverage.overlap import Overlap
+from jaxgeo.coverage._overlap import Overlap
 from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns
 from jaxgeo.io.tables import write_csv
 from jaxgeo.rotations import heading_pitch_roll_from_R

@@ -16,7 +16,7 @@ from pyproj.transformer import Transformer
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
-from jaxgeo.coverage.footprint import Footprint
+from jaxgeo.coverage._footprint import Footprint
 from jaxgeo.io._features import Feature, encoded, has_heights
 from jaxgeo.io._outlines import line, outline, runs
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation

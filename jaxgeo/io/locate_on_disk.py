@@ -12,13 +12,13 @@ from jax.typing import ArrayLike
 
 from jaxgeo._arguments import UNIT_TOLERANCE, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._locate import intersect
 from jaxgeo.earth import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
 from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.sightlines import Sightlines, comes_in, in_parts, padded_rays
 from jaxgeo.io.windows import Window
-from jaxgeo.locate import intersect
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight

@@ -10,16 +10,16 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io.observations import ObservationBatch, Observations, axes_of
-from jaxgeo.locate import locate
 from jaxgeo.observation import Observation
 from jaxgeo.sensor import Shot
 from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty import Accuracy, Sampling, accuracy
-from jaxgeo.uncertainty.accuracy import SAMPLES
+from jaxgeo.uncertainty._accuracy import SAMPLES
 
 CHUNKS = (1, 16, 1024)  # fixes computed at a time: few shapes, few compilations
 FEW = 20  # up to this many fixes, each gets the full number of samples

@@ -15,13 +15,13 @@ import numpy as np
 import pyproj
 from rasterio.transform import Affine
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import WGS84
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, Operation, known_crs, operation
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.vertical import horizontal_part
-from jaxgeo.locate import locate
 from jaxgeo.sensor import Pose, Sensor
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int8
 
+from jaxgeo._locate import sight_along, visibility
 from jaxgeo._numerics import dot, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, Vector3
 from jaxgeo.earth import WGS84, Atmosphere
-from jaxgeo.locate import sight_along, visibility
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.camera import IMAGE_PLANE, AbstractCamera, FrameCamera
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion

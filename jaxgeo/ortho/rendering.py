@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
+from jaxgeo._locate import FIRST_HIT, located_anywhere
 from jaxgeo.earth import WGS84, Atmosphere
-from jaxgeo.locate import FIRST_HIT, located_anywhere
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
 from jaxgeo.ortho.orthoimage import Orthoimage

@@ -13,7 +13,7 @@ from jaxgeo._checks import check_is
 from jaxgeo.plot.legends import legend_of
 from jaxgeo.plot.style import HAIR, HORIZONTAL, MUTED, VERTICAL, house_axes, metres
 from jaxgeo.uncertainty import Budget
-from jaxgeo.uncertainty.budget import SigmaShare
+from jaxgeo.uncertainty._budget import SigmaShare
 
 MOST = 10
 ROOM = 1.14  # times the longest bar: axis limit, leaves space for the numbers

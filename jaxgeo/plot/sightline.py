@@ -15,10 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from jaxgeo._checks import check_is, require_x64
+from jaxgeo._locate import intersect
 from jaxgeo._numerics import safe_norm
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.earth.ray import Ray
-from jaxgeo.locate import intersect
 from jaxgeo.plot.legends import keyed, legend_of
 from jaxgeo.plot.style import FIX, INK, MUTED, SHADE, SIGHT, TERRAIN, grid_behind, house_axes, metres
 from jaxgeo.status import Status

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._locate import locate
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
-from jaxgeo.locate import locate
 from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints

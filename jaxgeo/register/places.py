@@ -11,10 +11,10 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgeo._locate import locate
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_enu
 from jaxgeo.fix import Fix
-from jaxgeo.locate import locate
 from jaxgeo.register.prediction import in_chunks
 from jaxgeo.register.registration import Registration
 from jaxgeo.sensor import Sensor, Shot, Trajectory

@@ -9,11 +9,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
 from jaxgeo._checks import concrete
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flags, Numbers, ScalarField, StatusField
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.register.prior import SHIFT, Prior
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status

@@ -14,7 +14,7 @@ from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import FACET, FOOTPRINT, Detail
 from jaxgeo.status import Status
 from jaxgeo.uncertainty import NO_FIX, Comparison, Method
-from jaxgeo.uncertainty.compare import FIGURES
+from jaxgeo.uncertainty._compare import FIGURES
 
 Row = Mapping[str, Any]
 VERDICTS = {

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from jaxgeo.report import words
 from jaxgeo.uncertainty import Budget
-from jaxgeo.uncertainty.budget import READ_AS, SigmaShare, SourceShare, Variance
+from jaxgeo.uncertainty._budget import READ_AS, SigmaShare, SourceShare, Variance
 
 MOST = 12  # bars; the rest are one bar
 SMALL = 1e-4  # share of variance below which (in both) a source is not listed

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.io.located import axis_of, take_rows, terrain_at
 from jaxgeo.io.observations import Observations
-from jaxgeo.locate import locate
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractTerrain

@@ -10,16 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.coverage.exposure import image_size
 from jaxgeo.earth import WGS84
 from jaxgeo.earth.ray import Ray
-from jaxgeo.locate import locate
 from jaxgeo.plot.sightline import Section, section_under
 from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 from jaxgeo.terrain import ConstantHeight, Dem
 from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Method, Sampling, budget, compare
-from jaxgeo.uncertainty.compare import FIGURES
+from jaxgeo.uncertainty._compare import FIGURES
 
 SAMPLES = 20_000  # same number and key as in `accuracy`, hence the same samples
 ON_A_SIDE = 24  # points per image edge located on the ground

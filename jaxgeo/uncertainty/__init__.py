@@ -2,17 +2,18 @@
 
 from jaxgeo._renamed import renamed
 from jaxgeo.uncertainty import metrics, presets, sources
+from jaxgeo.uncertainty._accuracy import accuracy
+from jaxgeo.uncertainty._accuracy_map import AccuracyMap, accuracy_map
+from jaxgeo.uncertainty._budget import Budget, budget
+from jaxgeo.uncertainty._compare import Comparison, compare
 from jaxgeo.uncertainty._deprecated import accuracy_of_each as accuracy_of_each
 from jaxgeo.uncertainty._deprecated import accuracy_of_pixels as accuracy_of_pixels
 from jaxgeo.uncertainty._deprecated import assess as assess
-from jaxgeo.uncertainty.accuracy import accuracy
-from jaxgeo.uncertainty.accuracy_map import AccuracyMap, accuracy_map
+from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_design, design
+from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
+from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.budget import Budget, budget
-from jaxgeo.uncertainty.compare import Comparison, compare
-from jaxgeo.uncertainty.design import Design, InverseCost, Outcome, certified_design, design
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
-from jaxgeo.uncertainty.gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
@@ -20,7 +21,6 @@ from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_err
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
 from jaxgeo.uncertainty.sampling import Sampling
-from jaxgeo.uncertainty.second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty.slopes import Facet, Footprint, Level

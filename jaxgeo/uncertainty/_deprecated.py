@@ -11,7 +11,7 @@ import numpy as np
 from jaxgeo._checks import as_array
 from jaxgeo._renamed import warn_renamed
 from jaxgeo.observation import Observation
-from jaxgeo.uncertainty.accuracy import accuracy
+from jaxgeo.uncertainty._accuracy import accuracy
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.sampling import Sampling
 

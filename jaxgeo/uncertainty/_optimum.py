@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
-from jaxgeo.uncertainty.budget import Linear, Sigmas, error_and_slopes
+from jaxgeo.uncertainty._budget import Linear, Sigmas, error_and_slopes
 
 MOST_STEPS = 500
 

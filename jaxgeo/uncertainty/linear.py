@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
+from jaxgeo._locate import project
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
-from jaxgeo.locate import project
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory, point_shot
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_float64
+from jaxgeo._locate import FIRST_HIT, has_point, located_anywhere, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, PixelField, Scalar, StatusCode, Vector3
@@ -21,7 +22,6 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
-from jaxgeo.locate import FIRST_HIT, has_point, located_anywhere, met_by, touched_by
 from jaxgeo.observation import Exposure
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight

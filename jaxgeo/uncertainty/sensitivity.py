@@ -14,15 +14,15 @@ import scipy  # submodules load lazily
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty._budget import source_names
 from jaxgeo.uncertainty.batched_rays import fix_offsets, in_parts
-from jaxgeo.uncertainty.budget import source_names
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
 from jaxgeo.uncertainty.model import ErrorModel, checked_model

@@ -31,8 +31,8 @@ from jaxgeo import (
     locate,
 )
 from jaxgeo.coverage import MovingExposure, footprint, ground_sample_distance
+from jaxgeo.coverage._footprint import FINEST
 from jaxgeo.coverage.exposure import local_projection, seen_at
-from jaxgeo.coverage.footprint import FINEST
 from jaxgeo.terrain import HeightFunction, TangentGrid
 
 FOCAL = 4000.0  # px

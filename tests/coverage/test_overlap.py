@@ -21,9 +21,9 @@ from jaxgeo import (
     Status,
     Trajectory,
 )
+from jaxgeo._locate import locate
 from jaxgeo.coverage import MovingExposure, footprint, geometry, local_projection, overlap, polygon_overlap, transform
-from jaxgeo.coverage.overlap import axis_along, check_along, flight_direction
-from jaxgeo.locate import locate
+from jaxgeo.coverage._overlap import axis_along, check_along, flight_direction
 from jaxgeo.sensor.conventions import li_2020_sensor, li_2023_sweep_sensor
 from jaxgeo.terrain import TangentGrid
 

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgeo._locate import locate
 from jaxgeo.coverage import transform
 from jaxgeo.coverage.geometry import overlap_change_by_heading
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.earth.classical import GaussKruegerSeries
 from jaxgeo.earth.projection import TransverseMercator
-from jaxgeo.locate import locate
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.sensor.conventions import li_2020_sensor
 from jaxgeo.terrain import ConstantHeight

@@ -15,7 +15,7 @@ import shapely
 from pyogrio import raw
 
 from jaxgeo import Fix, Geodetic, Status
-from jaxgeo.coverage.footprint import Footprint
+from jaxgeo.coverage._footprint import Footprint
 from jaxgeo.earth import WGS84, TransverseMercator
 from jaxgeo.io import write_footprints
 from jaxgeo.io._outlines import runs

@@ -13,9 +13,9 @@ import pytest
 import scipy
 from support.rendered import noisy, spoilt, textured
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic, R_ecef_from_enu
 from jaxgeo.io import example_dem
-from jaxgeo.locate import locate
 from jaxgeo.ortho import Orthoimage, render
 from jaxgeo.register import Outcome, Prior, TieErrors, register_image
 from jaxgeo.register.registration import Registration

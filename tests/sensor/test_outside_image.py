@@ -61,7 +61,7 @@ def test_locate_and_its_batch_say_it() -> None:
 
 def test_with_throw_the_size_is_told_and_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     one = sensor("barrel")
-    monkeypatch.setattr(importlib.import_module("jaxgeo.locate"), "_locate", lambda *_: pytest.fail("compiled"))
+    monkeypatch.setattr(importlib.import_module("jaxgeo._locate"), "_locate", lambda *_: pytest.fail("compiled"))
     with pytest.raises(ValueError, match=r"outside_image: .*\(20000, 1499\.5\) .* image of 4000 columns x 3000 rows"):
         jaxgeo.locate(one, shot(one), BESIDE[3], ConstantHeight(600.0), throw=True)
 

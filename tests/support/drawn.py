@@ -25,8 +25,8 @@ from jaxgeo.register.prediction import Shifts
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem, GeographicGrid, TangentGrid
 from jaxgeo.uncertainty import Accuracy, AccuracyMap, Budget, Comparison, Propagation, Sampled, sources
-from jaxgeo.uncertainty.budget import SigmaShare, SourceShare, Variance
-from jaxgeo.uncertainty.compare import Row
+from jaxgeo.uncertainty._budget import SigmaShare, SourceShare, Variance
+from jaxgeo.uncertainty._compare import Row
 from jaxgeo.uncertainty.method_selection import Diagnostics
 from tests.support.simulated_block import SIGMA_UV, simulated
 

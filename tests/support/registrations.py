@@ -7,8 +7,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import WGS84, R_ecef_from_ned
-from jaxgeo.locate import locate
 from jaxgeo.register.registration import Registration, register_image
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.sensor import Shot

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxgeo.uncertainty import ErrorModel, propagate
-from jaxgeo.uncertainty.budget import ROUGHNESS, budget, sigma_names, sigmas_of, with_sigmas
+from jaxgeo.uncertainty._budget import ROUGHNESS, budget, sigma_names, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.slopes import Surface
 from jaxgeo.uncertainty.sources import (
     TerrainField,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from jaxgeo.uncertainty import ErrorModel, Sampling, propagate
-from jaxgeo.uncertainty.budget import sigmas_of, with_sigmas
-from jaxgeo.uncertainty.design import InverseCost, Outcome, certified_design, design
+from jaxgeo.uncertainty._budget import sigmas_of, with_sigmas
+from jaxgeo.uncertainty._design import InverseCost, Outcome, certified_design, design
 from tests.support import looks
 
 UV, GROUND = looks.LEVEL_UV, looks.LEVEL

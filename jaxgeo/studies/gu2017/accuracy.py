@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.locate import locate
 from jaxgeo.register import FullJacobian, LevelGround, TieErrors, TiePoints, update_orientation
 from jaxgeo.register.gu2017 import CASES, Case, Row, error_table
 from jaxgeo.register.tie_errors import AbstractTiePropagation

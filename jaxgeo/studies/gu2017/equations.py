@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
-from jaxgeo.locate import locate
 from jaxgeo.observation import Exposure
 from jaxgeo.register import TieErrors, TiePoints, update_orientation
 from jaxgeo.register.gu2017 import conditions, ground_covariance, parameter_covariance, parameter_step

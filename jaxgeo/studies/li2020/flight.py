@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._locate import locate
 from jaxgeo._typing import Vector3
 from jaxgeo.coverage import geometry, transform
 from jaxgeo.coverage.compensation_formulas import angles_towards
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.locate import locate
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.li2020 import printed
 

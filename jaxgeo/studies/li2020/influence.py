@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._locate import locate
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.coverage import geometry, transform
 from jaxgeo.coverage.transform import MapVector
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.locate import locate
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.studies.li2020 import printed
 

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io.dem import example_dem
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.targets import metres_per_radian

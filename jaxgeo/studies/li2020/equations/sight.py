@@ -9,10 +9,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._locate import locate
 from jaxgeo.coverage import transform
 from jaxgeo.coverage.compensation_formulas import compensation_of_eqs_25_26, line_of_sight_head
 from jaxgeo.earth import Geodetic
-from jaxgeo.locate import locate
 from jaxgeo.rotations import R_from_heading_pitch_roll
 from jaxgeo.sensor import Gimbal, Pose, Shot
 from jaxgeo.sensor.conventions import li_2020_uv

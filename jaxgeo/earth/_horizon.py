@@ -30,7 +30,7 @@ def horizon(
     grazes the ground, where n r sin z = n r (Snell on spherical shells). Differentiable in heights and atmosphere while
     `height` is above `ground`. Raises `ValueError` for concrete heights that are not finite or lie below the ground.
 
-    >>> from jaxgeo.earth.horizon import horizon
+    >>> from jaxgeo.earth._horizon import horizon
     >>> bare, in_air = horizon(3000.0), horizon(3000.0, atmosphere=jaxgeo.Atmosphere())
     >>> print(f"{bare.distance / 1000:.0f} km, through the air {in_air.distance / 1000:.0f} km")
     195 km, through the air 214 km
@@ -62,7 +62,7 @@ def sight_range(
 
     All heights in m above the ellipsoid; the sum of both horizon distances. Raises as `horizon`.
 
-    >>> from jaxgeo.earth.horizon import sight_range
+    >>> from jaxgeo.earth._horizon import sight_range
     >>> print(f"a mast of 200 m comes up over the horizon of 3 km at {sight_range(3000.0, 200.0) / 1000:.0f} km")
     a mast of 200 m comes up over the horizon of 3 km at 246 km
     """

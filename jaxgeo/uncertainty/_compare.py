@@ -11,20 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty._second_order import second_moments, sigma_moments
 from jaxgeo.uncertainty.linear import Propagation, propagate_linear
 from jaxgeo.uncertainty.method_selection import diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sampled import Quantile, Sampled, draw_errors
 from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
-from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
 from jaxgeo.uncertainty.slopes import Level
 
 FIGURES = (("CE50", 0.5), ("CE90", 0.9), ("LE90", 0.9), ("SE90", 0.9))

@@ -15,8 +15,8 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty._budget import Linear, Sigmas, sigma_names, sigma_units, sigmas_of, with_sigmas
 from jaxgeo.uncertainty._optimum import Problem, cheapest, closest, equal_scaling, karush_kuhn_tucker
-from jaxgeo.uncertainty.budget import Linear, Sigmas, sigma_names, sigma_units, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import as_float64, concrete
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import dot, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field
@@ -27,7 +28,6 @@ from jaxgeo.coverage.exposure import (
     seen_at,
 )
 from jaxgeo.earth import Atmosphere, TransverseMercator
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractTerrain

@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_array, check_finite
+from jaxgeo._locate import FIRST_HIT, located_anywhere
 from jaxgeo._numerics import dot, safe_angle, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, PixelField, Scalar, ScalarField, StatusField, Vector3
 from jaxgeo.coverage.exposure import Image, checked_image, image_size, local_projection, motion_of, on_map, seen_at
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
-from jaxgeo.locate import FIRST_HIT, located_anywhere
 from jaxgeo.sensor import Sensor
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.status import Status, counts_as_fix

@@ -13,15 +13,15 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, is_known
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._typing import Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.accuracy_map import SAMPLES as SAMPLES_OF_EACH
-from jaxgeo.uncertainty.accuracy_map import accuracy_of_cells, check_context
+from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
+from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures

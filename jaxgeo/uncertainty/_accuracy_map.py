@@ -13,10 +13,10 @@ from jax.typing import ArrayLike
 
 from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField
 from jaxgeo.earth import Atmosphere, Geodetic
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status

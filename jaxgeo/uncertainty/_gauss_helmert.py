@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._locate import FIRST_HIT
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point
