@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 from jaxgeo import uncertainty
 from jaxgeo._checks import enable_x64
 from jaxgeo._locate import at_range, intersect, locate, project
+from jaxgeo._program_cache import keep_programs
 from jaxgeo._renamed import renamed
 from jaxgeo.batches import in_batches
 from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
@@ -105,6 +106,7 @@ __all__ = [
     "in_batches",
     "intersect",
     "io",
+    "keep_programs",
     "linear_error",
     "locate",
     "ortho",

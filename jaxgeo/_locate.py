@@ -22,6 +22,7 @@ from jaxgeo._arguments import (
     thrown,
 )
 from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._compile import quick_jit
 from jaxgeo._numerics import all_finite, dot, finite_or, safe_angle, safe_norm, tree_where
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
@@ -207,7 +208,7 @@ def project(
     return _project(*seen_from, point, terrain, tolerance, checked_air(atmosphere))
 
 
-@jax.jit
+@quick_jit
 def _locate(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -235,7 +236,7 @@ def located_anywhere(
     return met_by(ray, status, terrain, search, air)
 
 
-@jax.jit
+@quick_jit
 def _at_range(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -259,7 +260,7 @@ def _at_range(
     return _mask(Fix(position, ray.at(along), distance, incidence, unknown, unknown, status), seen)
 
 
-@jax.jit
+@quick_jit
 def _project(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -280,7 +281,7 @@ def _project(
     return Projection(jnp.where(has_image, uv, jnp.nan), status)
 
 
-@jax.jit
+@quick_jit
 def _intersect(
     ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
 ) -> Fix:

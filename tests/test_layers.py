@@ -11,7 +11,7 @@ from support.numpy_in_jit import numpy_in_jitted_code
 # From the lowest layer up: packages (or single modules) of `jaxgeo`. A package imports only packages of lower layers.
 LAYERS = [
     (
-        "_typing _checks _elementary _numerics _record status least_squares _destination _partial _interruption "
+        "_typing _checks _compile _elementary _numerics _record status least_squares _destination _partial _interruption "
         "_text_numbers _command _renamed _refusals batches"
     ).split(),
     ["earth", "rotations"],
@@ -35,6 +35,7 @@ LAYER = {package: number for number, packages in enumerate(LAYERS) for package i
 WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in LAYERS[0]]} | {
     frozenset({"_checks", "_numerics"}),
     frozenset({"status", "_checks"}),
+    frozenset({"_compile", "_checks"}),
     frozenset({"_record", "_checks"}),
     frozenset({"_destination", "_partial"}),
     frozenset({"_partial", "_interruption"}),

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int
 
 from jaxgeo._checks import is_known
+from jaxgeo._compile import compiled_quickly
 from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._record import Record
 from jaxgeo._typing import (
@@ -42,7 +43,6 @@ from jaxgeo.adjust.rays import (
 )
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_enu
 from jaxgeo.sensor import Sensor, Shot
-from jaxgeo.sensor.root_finder import compiled_quickly
 from jaxgeo.sensor.sensor import made_safe
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import is_known
+from jaxgeo._compile import compiled_quickly
 from jaxgeo._numerics import all_finite, matmul3, matvec
 from jaxgeo._typing import Flag, Flags, Pixel, Scalar, StatusCode
 from jaxgeo.earth import Atmosphere
@@ -30,7 +31,7 @@ from jaxgeo.sensor.pointing_problem import (
     with_derivative,
     with_free,
 )
-from jaxgeo.sensor.root_finder import FixedNewton, compiled_quickly, default_root_finder, find_root
+from jaxgeo.sensor.root_finder import FixedNewton, default_root_finder, find_root
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.status import Status, first_failure, status_where
 

@@ -6,13 +6,13 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, is_known
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._typing import Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
@@ -133,7 +133,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _without_samples(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: AbstractSearch) -> Accuracy:
     """Accuracy of one fix by linear propagation, NaN where it is not valid."""
     nominal = inputs.nominal_fix(search)

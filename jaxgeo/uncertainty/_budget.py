@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_is
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.status import Status
@@ -182,7 +183,7 @@ def error_and_slopes(linear: Linear, sigma: Sigmas, probability: Scalar) -> tupl
 _error_and_slopes = jax.jit(jax.value_and_grad(circular_error))
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _level_and_slopes(linear: Linear, sigma: Sigmas) -> tuple[Float[Array, "2 2"], Float[Array, "2 2 sigmas"]]:
     return linear.on_level(sigma), jax.jacfwd(linear.on_level)(sigma)
 
@@ -228,7 +229,7 @@ def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
     return Budget(sources, _variance(propagation.cov_enu), float(error), float(probability), status)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _causes(linear: Linear) -> tuple[Covariances, Covariances]:
     """(covariances of the fix from each cause alone, from all others), m2.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
@@ -45,7 +45,7 @@ def gauss_helmert(
     return _gauss_helmert(inputs, inputs.nominal_fix(search), checked_model(errors, inputs))
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _gauss_helmert(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Matrix3:
     model = model.at(inputs, nominal)
 

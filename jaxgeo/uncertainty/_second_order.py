@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
@@ -70,7 +70,7 @@ def sigma_points(
     return sigma_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), search)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def sigma_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
     """`sigma_points` of validated input, about the nominal fix."""
     model = model.at(inputs, nominal)
@@ -108,7 +108,7 @@ def second_order(
     return second_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs))
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def second_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Moments:
     """`second_order` of validated input, about the nominal fix."""
     model = model.at(inputs, nominal)

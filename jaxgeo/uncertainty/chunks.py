@@ -13,6 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._typing import Flags, Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
@@ -46,7 +47,7 @@ def make_plan(
     return Plan(inputs, nominal, model, roots, turn, draws, search, key)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _prepare(
     inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, AbstractSearch]:

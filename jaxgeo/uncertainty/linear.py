@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
@@ -116,7 +116,7 @@ def propagate(
     return propagate_linear(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), slope)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def propagate_linear(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:
     """`propagate` of checked input, about a nominal fix."""
     model = model.at(inputs, nominal)

@@ -6,10 +6,10 @@ import enum
 import math
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.uncertainty.linear import FACET, Propagation, propagate_sweep
@@ -65,7 +65,7 @@ class Diagnosed(NamedTuple):
     profile: Profile
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def diagnose(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Diagnosed:
     """Diagnostics of a fix, without samples."""
     model = model.at(inputs, nominal)

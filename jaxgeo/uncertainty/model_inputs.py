@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_float64
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT, has_point, located_anywhere, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
@@ -225,7 +226,7 @@ def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _nominal_fix(inputs: ModelInputs, search: AbstractSearch) -> NominalFix:
     inputs = jax.lax.stop_gradient(inputs)
     terrain, _ = inputs.terrain.made_safe()
