@@ -52,9 +52,8 @@ def main() -> None:
                     table.rows.append([call, "yes" if is_kept else "no", name, processor, wall])
     print(table.markdown())
     if options.json is not None:
-        options.json.write_text(
-            json.dumps({"machine": measuring.machine(), "tables": [table.record()]}, indent=1) + "\n"
-        )
+        record = {"machine": measuring.machine(), "tables": [table.record()]}
+        options.json.write_text(json.dumps(record, indent=1) + "\n")
 
 
 def _medians(
@@ -129,9 +128,8 @@ def _calls(kind: str) -> list[tuple[str, Callable[[], Any]]]:
     key = jax.block_until_ready(jax.random.key(0))
     of_many = jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, None))
     target = jaxgeo.Geodetic.from_degrees(lat=36.28, lon=-84.10, height=400.0)
-    new = (
-        {"sampling": jaxgeo.Sampling(count=SAMPLES)} if hasattr(jaxgeo, "Sampling") else {"key": key, "count": SAMPLES}
-    )
+    new: dict[str, Any] = {"key": key, "count": SAMPLES}
+    new = {"sampling": jaxgeo.Sampling(count=SAMPLES)} if hasattr(jaxgeo, "Sampling") else new
     point = getattr(jaxgeo.coverage, "point_gimbal", None) or jaxgeo.coverage.point
 
     def sampled(count: int, model: ErrorModel) -> Any:

@@ -41,7 +41,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None, *, largest: int 
     if path is None:
         return None
     with contextlib.suppress(OSError):
-        _forget_oldest(path, largest)
+        forget_oldest(path, largest)
     # A program that cannot be read from or written to the cache is compiled.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     jax.config.update("jax_compilation_cache_dir", str(path))
@@ -73,7 +73,7 @@ def _processor() -> str:
     return hashlib.sha256(features.encode()).hexdigest()[:12]
 
 
-def _forget_oldest(folder: pathlib.Path, largest: int) -> None:
+def forget_oldest(folder: pathlib.Path, largest: int) -> None:
     """Remove the least recently used programs until the cache is at half its limit."""
     files = [(one.stat(), one) for one in folder.iterdir() if one.is_file()]
     total = sum(stat.st_size for stat, _ in files)

@@ -11,8 +11,8 @@ from support.numpy_in_jit import numpy_in_jitted_code
 # From the lowest layer up: packages (or single modules) of `jaxgeo`. A package imports only packages of lower layers.
 LAYERS = [
     (
-        "_typing _checks _compile _elementary _numerics _record status least_squares _destination _partial _interruption "
-        "_text_numbers _command _renamed _refusals batches"
+        "_typing _checks _compile _elementary _numerics _record status least_squares _destination _partial "
+        "_interruption _program_cache _text_numbers _command _renamed _refusals batches"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
