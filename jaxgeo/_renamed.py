@@ -30,7 +30,8 @@ def renamed_argument(old: str, new: str) -> Callable[[Callable[..., T]], Callabl
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> T:
             if old in kwargs:
-                warn_renamed(f"{function.__name__}({old}=)", f"{new}=")
+                name = function.__qualname__.rpartition("<locals>.")[2].removesuffix(".__init__")
+                warn_renamed(f"{name}({old}=)", f"{new}=")
                 kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 

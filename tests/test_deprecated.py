@@ -78,3 +78,15 @@ def test_a_method_that_is_now_a_function_warns_and_calls_it() -> None:
     new = point_shot(sensor, pose, target, time=3.0)
     np.testing.assert_array_equal(old.gimbal_readings, new.gimbal_readings)
     assert float(old.time) == 3.0
+
+
+def test_old_names_of_a_solver_and_its_log() -> None:
+    from jaxgeo.adjust import Iteration, Solver
+
+    with pytest.warns(DeprecationWarning, match=r"^Solver\(most=\) is now max_iterations="):
+        solver = Solver(most=7)
+    assert solver == Solver(max_iterations=7)
+    with pytest.warns(DeprecationWarning, match=r"Solver\.max_iterations"):
+        assert solver.most == 7
+    with pytest.warns(DeprecationWarning, match=r"Iteration\.predicted_decrease"):
+        assert Iteration(1, 2.0, 3.0, 4.0, 5.0, True).promised == 3.0

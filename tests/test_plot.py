@@ -65,7 +65,7 @@ DRAWINGS: dict[str, Callable[[Axes | None], Axes]] = {
     "map_axes": lambda ax: plot.map_axes(drawn.north_up(), ax),
     "method_map": lambda ax: plot.method_map(drawn.accuracies(), ax),
     "north_arrow": with_places(plot.north_arrow),
-    "overlap_along": lambda ax: plot.overlap_along(drawn.overlaps([[-0.05, 0.1, 0.2]]), ax, wished=0.15),
+    "overlap_along": lambda ax: plot.overlap_along(drawn.overlaps([[-0.05, 0.1, 0.2]]), ax, required=0.15),
     "residual_arrows": lambda ax: plot.residual_arrows(drawn.adjusted(), ax),
     "residual_histogram": lambda ax: plot.residual_histogram(drawn.adjusted(), ax, checked=drawn.judged(wrong=(4, 9))),
     "scale_bar": with_places(plot.scale_bar),

@@ -293,9 +293,9 @@ def test_footprints_that_cannot_be_drawn(ax) -> None:
 
 
 def test_overlap_along_and_its_gap(ax) -> None:
-    plot.overlap_along(overlaps([[-0.05, 0.1, 0.2]]), ax, wished=0.15)
+    plot.overlap_along(overlaps([[-0.05, 0.1, 0.2]]), ax, required=0.15)
     np.testing.assert_allclose(ax.lines[0].get_xydata(), [[0.0, -5.0], [1.0, 10.0], [2.0, 20.0]], rtol=0, atol=1e-9)
-    assert set(labels(ax)) == {"overlap", "wished, 15 %", "gap between the images"}
+    assert set(labels(ax)) == {"overlap", "required, 15 %", "gap between the images"}
     assert ax.get_xlim() == (0.0, 2.0)
 
 
@@ -305,5 +305,5 @@ def test_overlap_of_many_pairs(ax) -> None:
     plot.overlap_along(overlaps(many), ax)
     assert len([one for one in ax.lines if len(np.asarray(one.get_xdata()))]) == 2
     assert labels(ax) == ["overlap"]
-    with pytest.raises(ValueError, match="leaves over the terrain's edge"):
+    with pytest.raises(ValueError, match="leaves the terrain's area"):
         plot.overlap_along(overlaps([[np.nan] * 3], Status.leaves_terrain), ax)

@@ -92,7 +92,7 @@ def coverage(figure: Figure) -> None:
     seen, shared = records.strips()
     left, right = pair(figure)
     plot.footprints(seen, left, labels=["first strip", "second strip"], dem=records.demo().dem)
-    plot.overlap_along(shared, right, wished=records.STRIPS["wished"])
+    plot.overlap_along(shared, right, required=records.STRIPS["required"])
     plot.legend(left)
     plot.legend(right)
 

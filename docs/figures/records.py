@@ -29,7 +29,7 @@ SIDE, STRIP, HIGH = 60.0, 4, 500.0  # m between images, images in each of two st
 SIGMA_UV = 0.5  # px
 SIGMA_TERRAIN = 5.0  # m
 CLOUDED = (8, 13, 18)  # of the fixes of the demonstration
-STRIPS = {"field": np.deg2rad(0.88), "across": 14000, "off_nadir": np.deg2rad(68.0), "height": 5469.0, "wished": 0.15}
+STRIPS = {"field": np.deg2rad(0.88), "across": 14000, "off_nadir": np.deg2rad(68.0), "height": 5469.0, "required": 0.15}
 
 
 @cache
@@ -76,7 +76,7 @@ def section() -> Section:
 @cache
 def strips() -> tuple[list[Footprint], Overlap]:
     """Two strips of a sweeping camera over mountains, and what they share."""
-    field, across, off_nadir, height, wished = STRIPS.values()
+    field, across, off_nadir, height, required = STRIPS.values()
     terrain = example_dem()
     pitch = 2 * np.tan(field / 2) / 1536
     sensor = li_2020_sensor(
@@ -85,7 +85,7 @@ def strips() -> tuple[list[Footprint], Overlap]:
     look = sensor.gimbal.readings_from_degrees(outer=68.0, inner=0.0)
     near = off_nadir - np.arctan(across * np.tan(field / 2) / 1536)
     setting = {"height_above_ground": height - 400.0, "off_nadir": near, "field_of_view": field}
-    step = float(geometry.path_of_overlap(overlap=wished, **setting))
+    step = float(geometry.path_of_overlap(overlap=required, **setting))
 
     def shot_at(step: float) -> Shot:
         north, east = step * np.cos(np.deg2rad(160.0)), step * np.sin(np.deg2rad(160.0))

@@ -54,7 +54,7 @@ class NotConverged(RuntimeError):
             before = f" {POOR_STARTS}{before}"
         super().__init__(
             f"the adjustment has not converged in {last.number} iterations; the cost is {last.cost:.6g}, the last step "
-            f"promised to lessen it by {last.promised:.3g}.{before} {diagnosis}"
+            f"predicted a decrease of {last.predicted_decrease:.3g}.{before} {diagnosis}"
         )
 
 

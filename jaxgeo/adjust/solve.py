@@ -15,6 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._renamed import renamed_argument, warn_renamed
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.arrays import Problem, step_of
@@ -45,14 +46,20 @@ class Iteration:
 
     number: int
     cost: float
-    promised: float
+    predicted_decrease: float
     decrease: float
     damping: float
     accepted: bool
 
     def __str__(self) -> str:
         how = f"fell by {self.decrease:.4g}" if self.accepted else "step refused"
-        return f"iteration {self.number:2d}: cost {self.cost:.6e}, {how} (promised {self.promised:.4g})"
+        return f"iteration {self.number:2d}: cost {self.cost:.6e}, {how} (predicted {self.predicted_decrease:.4g})"
+
+    @property
+    def promised(self) -> float:
+        """Deprecated: `predicted_decrease`."""
+        warn_renamed("Iteration.promised", "Iteration.predicted_decrease")
+        return self.predicted_decrease
 
 
 @dataclass(frozen=True)
@@ -62,13 +69,22 @@ class Solver:
     Iteration stops if the predicted decrease of the cost is below `relative` times the cost or below `absolute`: half
     the squared length of the step in standard deviations, so that 1e-8 corresponds to 1.4e-4 standard deviations. The
     default of `relative` is 0 for least squares, and 1e-8 for a robust loss, whose weights converge slowly. `damping`
-    is the initial relative increase of the diagonal; `most` is the maximum number of iterations.
+    is the initial relative increase of the diagonal; `max_iterations` bounds their number.
     """
 
     relative: float | None = None
     absolute: float = 1e-8
     damping: float = 1e-4
-    most: int = 100
+    max_iterations: int = 100
+
+    @property
+    def most(self) -> int:
+        """Deprecated: `max_iterations`."""
+        warn_renamed("Solver.most", "Solver.max_iterations")
+        return self.max_iterations
+
+
+Solver.__init__ = renamed_argument("most", "max_iterations")(Solver.__init__)
 
 
 class Solution(NamedTuple):
@@ -101,25 +117,25 @@ def solve(
     log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]
     weak = weakly_held(problem, values, equations, undamped(problem, equations)[1]) is not None
     damping, growth, converged = solver.damping, 2.0, False
-    while len(log) <= solver.most and not converged and damping < MOST_DAMPING:
-        trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping), weak)
-        new_cost, promised = float(new_cost), float(promised)
+    while len(log) <= solver.max_iterations and not converged and damping < MOST_DAMPING:
+        trial, new_cost, predicted = _trial(problem, values, equations, loss, jnp.asarray(damping), weak)
+        new_cost, predicted = float(new_cost), float(predicted)
         decrease = cost - new_cost
         least = max(relative * cost, solver.absolute)
         # # The sign of the decrease is random once rounding exceeds the possible gain.
-        accepted = promised > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and promised <= 1e-10 * cost))
-        gain = decrease / promised if promised > 0.0 else 0.0
-        log.append(Iteration(len(log), new_cost if accepted else cost, promised, decrease, damping, accepted))
+        accepted = predicted > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and predicted <= 1e-10 * cost))
+        gain = decrease / predicted if predicted > 0.0 else 0.0
+        log.append(Iteration(len(log), new_cost if accepted else cost, predicted, decrease, damping, accepted))
         if callback is not None:
             callback(log[-1])
         if accepted:
-            converged = promised <= least or (decrease <= least and gain > 0.5)
+            converged = predicted <= least or (decrease <= least and gain > 0.5)
             values, cost = trial, new_cost
             equations = linearised(problem, values, loss)
             damping = max(damping * max(1.0 / 9.0, 1.0 - (2.0 * gain - 1.0) ** 3), LEAST_DAMPING)
             growth = 2.0
         else:
-            converged = 0.0 <= promised <= 1e-15 * cost
+            converged = 0.0 <= predicted <= 1e-15 * cost
             damping, growth = damping * growth, growth * 2.0
     return Solution(values, equations, tuple(log), converged)
 
@@ -149,10 +165,10 @@ def _stepped(
     images, shared = solve_reduced(problem, factored(system.matrix), -system.images, -system.shared)
     of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
-    return trial, cost_of(problem, trial, loss), promised_by(problem, equations, images, shared, of_points, damping)
+    return trial, cost_of(problem, trial, loss), predicted_by(problem, equations, images, shared, of_points, damping)
 
 
-def promised_by(
+def predicted_by(
     problem: Problem, equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar
 ) -> Scalar:
     """Predicted decrease by a damped step in the quadratic model: half of (damping * D step - gradient) . step."""
@@ -189,10 +205,10 @@ def _stepped_apart(
     images, shared, of_points = (own - jnp.tensordot(t, F, 1) for own, F in zip(y, found.F, strict=True))
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
     trial = moved_together(problem, trial, motions, t)
-    promised = promised_by(problem, equations, images, shared, of_points, damping)
+    predicted = predicted_by(problem, equations, images, shared, of_points, damping)
     held = jnp.einsum("dkm,km->d", motions.holds, at_holds(problem, images)) * motions.kept
     own = damping * jnp.sum(motions.own * motions.kept * t**2) - motions.gradient @ t
-    return trial, cost_of(problem, trial, loss), promised + 0.5 * (jnp.sum(held**2) + own)
+    return trial, cost_of(problem, trial, loss), predicted + 0.5 * (jnp.sum(held**2) + own)
 
 
 def _along(columns: Float[Array, "7 *some"], change: Float[Array, "*some"]) -> Float[Array, "7"]:

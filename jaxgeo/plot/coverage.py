@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxgeo._checks import check_is
+from jaxgeo._renamed import renamed_argument
 from jaxgeo.coverage import Footprint, Overlap
 from jaxgeo.earth import Geodetic, TransverseMercator
 from jaxgeo.plot.legends import keyed
@@ -75,11 +76,12 @@ def footprints(
     return ax
 
 
+@renamed_argument("wished", "required")
 def overlap_along(
     found: Overlap,
     ax: Axes | None = None,
     *,
-    wished: float | None = None,
+    required: float | None = None,
     label: str = "overlap",
     colour: Any = SIGHT,
 ) -> Axes:
@@ -99,8 +101,10 @@ def overlap_along(
     with house_axes(ax) as ax:
         ax.plot(from_near.T, shared.T, color=colour, zorder=3, **style)
         keyed(ax, label, color=colour, linewidth=1.8)
-        if wished is not None:
-            ax.axhline(100.0 * wished, color=INK, linewidth=1.0, linestyle="--", label=f"wished, {percent(wished)}")
+        if required is not None:
+            ax.axhline(
+                100.0 * required, color=INK, linewidth=1.0, linestyle="--", label=f"required, {percent(required)}"
+            )
         if shared.min() < 0.0:
             low, high = ax.get_ylim()
             ax.axhspan(low, 0.0, color=GAP, zorder=0)

@@ -380,7 +380,7 @@ def test_iterations_that_did_not_end_are_no_answer(adjusted: Adjustment) -> None
     with pytest.raises(
         NotConverged, match=r"has not converged in 1 iterations; the cost is .* solver=Solver"
     ) as caught:
-        adjust(disturbed(adjusted.block, 10.0, 0.03), solver=Solver(most=1))
+        adjust(disturbed(adjusted.block, 10.0, 0.03), solver=Solver(max_iterations=1))
     assert len(caught.value.log) == 2
 
 

@@ -220,14 +220,14 @@ def test_control_is_tested_by_its_own_redundancy(good: Adjustment) -> None:
 
 def test_a_run_without_end_from_poor_starts_says_so_first() -> None:
     block = replace(disturbed(simulated().block(), 50.0, 0.2), navigation=None)
-    with pytest.raises(NotConverged, match=r"the last step promised .* The orientations that it starts from are poor"):
-        adjust(block, solver=Solver(most=1))
+    with pytest.raises(NotConverged, match=r"the last step predicted .* The orientations that it starts from are poor"):
+        adjust(block, solver=Solver(max_iterations=1))
 
 
 def test_a_run_without_end_tells_what_stands_out(good: Adjustment) -> None:
     block = with_control_off(good.block, 2, [900.0, 0.0, 0.0])
     with pytest.raises(NotConverged) as caught:
-        adjust(block, solver=Solver(most=2), screen=None)
+        adjust(block, solver=Solver(max_iterations=2), screen=None)
     error = caught.value
     assert len(error.log) == 3
     assert error.screened == ()
