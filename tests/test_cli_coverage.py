@@ -265,7 +265,7 @@ MISTAKES = [
     ([*PLAN], ["needs --overlap"]),
     ([*PLAN, "--overlap", "1"], ["--overlap 1", "[0, 1)"]),
     ([*PLAN, "--overlap", "-0.1"], ["--overlap -0.1", "[0, 1)"]),
-    ([*PLAN, "--timing", "fixed:30"], ["fewer than two images"]),
+    ([*PLAN, "--timing", "fixed:30"], ["the navigation is too short"]),
     ([*PLAN, "--overlap", "0.9", "--start", "400"], ["start", "100 to 120 s", "400 s"]),
     ([*PLAN, "--overlap", "0.9", "--timing", "fixed:2"], ["leave one out"]),
     ([*PLAN, "--timing", "fixed:0"], ["'fixed:0'", "above 0 s"]),

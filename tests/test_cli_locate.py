@@ -64,7 +64,7 @@ def test_an_image_is_located_as_by_the_library(image: pathlib.Path) -> None:
     assert (row["name"], row["u"], row["v"], row["status"]) == ("DJI_0042.JPG", 10.0, 20.0, "hit")
     assert row["fix_lat_deg"] == pytest.approx(float(np.rad2deg(sure.fix.position.lat)), abs=1e-9)
     assert row["fix_height_m"] == pytest.approx(300.0, abs=1e-3)
-    assert row["ce90_m"] == pytest.approx(sure.circular, rel=1e-3)
+    assert row["ce90_m"] == pytest.approx(float(sure.circular), rel=1e-3)
     assert row["accuracy_method"] == sure.words
     sentences = " ".join(told["assumed"])
     assert "Position sigma: 3, 3, 5 m" in sentences

@@ -17,13 +17,13 @@ SLOW = {  # of what they compile
     "io/acquisitions/detect.py",
     "io/acquisitions/several.py",
     "sensor/sensor.py",
-    "uncertainty/accuracy.py",
-    "uncertainty/budget.py",
+    "uncertainty/_accuracy.py",
+    "uncertainty/_budget.py",
 }
 # What no reader should look for in vain: the doors through which most come.
 DOORS = {
     "__init__.py": "",
-    "locate.py": "locate project at_range intersect",
+    "_locate.py": "locate project at_range intersect",
     "earth/geodetic.py": "Geodetic",
     "sensor/camera.py": "FrameCamera.from_metric FrameCamera.from_pixels",
     "sensor/gimbal.py": "Gimbal Gimbal.readings_from_degrees",
@@ -37,12 +37,12 @@ DOORS = {
     "observation.py": "Exposure Observation",
     "uncertainty/model.py": "ErrorModel",
     "uncertainty/linear.py": "propagate",
-    "uncertainty/accuracy.py": "accuracy",
+    "uncertainty/_accuracy.py": "accuracy",
     "uncertainty/sampling.py": "Sampling",
-    "uncertainty/budget.py": "budget",
+    "uncertainty/_budget.py": "budget",
     "uncertainty/metrics/exact.py": "circular_error linear_error spherical_error",
     "coverage/pointing.py": "point_gimbal",
-    "coverage/footprint.py": "footprint",
+    "coverage/_footprint.py": "footprint",
     "adjust/intersection.py": "forward_intersection",
 }
 

@@ -52,7 +52,7 @@ def test_what_a_lens_bends_is_told_as_it_is_among_the_errors(tmp_path: pathlib.P
     counted = [one for one in assumed(path, Sigmas()) if "counts as an error of the focal length" in one]
     assert len(counted) == 1
     told = assumed(path, Sigmas(focal=focal))
-    assert not any("counts as an error" in one or one.startswith("Focal lengths err") for one in told)
+    assert not any("counts as an error" in one or one.startswith("Focal length sigma") for one in told)
     (bent,) = [one for one in told if "free of distortion" in one]
     assert bent.endswith(f"distortion at the corners is covered only as far as --focal-sigma {focal} allows.")
-    assert any(one.startswith("Principal points err") for one in told)
+    assert any(one.startswith("Principal point sigma") for one in told)

@@ -200,6 +200,6 @@ def test_arguments_given_by_name_are_not_missing() -> None:
     with pytest.raises(TypeError, match=r"^locate needs uv, terrain: call locate\(sensor, shot, uv, terrain\) or "):
         jaxgeo.locate(SENSOR, SHOT)
     with pytest.raises(
-        TypeError, match=r"^sample needs key: call .* or sample\(observation, terrain, errors, key=\.\.\."
+        TypeError, match=r"^point_gimbal needs target: call .* or point_gimbal\(exposure, target=\.\.\."
     ):
-        jaxgeo.sample(Observation(EXPOSURES["shot"][0], UV), GROUND, ERRORS)
+        jaxgeo.coverage.point_gimbal(EXPOSURES["shot"][0])

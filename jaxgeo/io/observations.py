@@ -23,6 +23,7 @@ from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, form_of
 from jaxgeo.io.acquisitions.sentences import merged_sentences
 from jaxgeo.io.acquisitions.usual_errors import usual_errors_of
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.given_camera import AS_GIVEN
 from jaxgeo.io.scene import Scene, SceneError, read_scene
 from jaxgeo.io.tables import GIMBAL_REFERENCE, ShotTable, read_shots
 from jaxgeo.observation import Exposure, Observation
@@ -41,7 +42,6 @@ from jaxgeo.uncertainty.sources import (
 
 Path = str | os.PathLike[str]
 Row = dict[str, Any]
-WITHOUT_ERROR = "The camera is taken as it is given, without error"  # of a reader given a camera alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,7 +256,7 @@ def read_observations(
     >>> from jaxgeo.demo import drone_image
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = drone_image(os.path.join(folder.name, "a.jpg"), columns=64).path
-    >>> observed = jaxgeo.io.read_observations(folder.name, [(10, 20), (30, 5)], height_datum="EPSG:5773")
+    >>> observed = jaxgeo.io.read_observations(folder.name, [(10, 20), (30, 40)], height_datum="EPSG:5773")
     >>> fixes = jaxgeo.io.locate_observations(observed, jaxgeo.ConstantHeight(0.0))
     >>> print([row["name"] for row in observed.columns], fixes.status)
     ['a.jpg', 'a.jpg'] [0 0]
@@ -391,7 +391,7 @@ def _observed(
     assumed = found.assumed
     found, scene, held, defaults = _completed(found, files, scene_file, by_scene)
     if by_scene and any(InteriorOrientation in map(type, part.sources) for part in found.parts):
-        assumed = tuple(one for one in assumed if not one.startswith(WITHOUT_ERROR))
+        assumed = tuple(one for one in assumed if not one.startswith(AS_GIVEN))
     where = {int(place): (k, i) for k, part in enumerate(found.places) for i, place in enumerate(part)}
     unread = {one.place: one for one in found.unread}
     uv = [_pixels(pixels, frame_camera_of(part.sensor)) for part in found.parts]

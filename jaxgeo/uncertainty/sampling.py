@@ -35,6 +35,7 @@ class Sampling:
     `half_width`, sampling stops when the interval with this `confidence` of the first figure at 90 % is within that
     fraction of it on either side (JCGM 101:2008, 7.9), or at `count` samples. `progress` shows progress bars.
 
+    >>> import jax
     >>> from jaxgeo.uncertainty import Sampling
     >>> print(Sampling(count=2000, key=jax.random.key(1)).count)
     2000

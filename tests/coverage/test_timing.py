@@ -226,14 +226,18 @@ def test_more_refusals(timing: Any, options: dict[str, Any], words: str) -> None
 
 
 EARLY = [
-    (FixedPeriod(20.0), {}, "fewer than two images"),
+    (FixedPeriod(20.0), {}, "the navigation is too short"),
     (FixedPeriod(0.0), {}, "period must be above 0 s"),
-    (VelocityHeight(0.0), {"trajectory": flight(speed=1.0)}, "fewer than two images"),
-    (VelocityHeight(WISHED), {"start": 12.0}, "fewer than two images"),
+    (VelocityHeight(0.0), {"trajectory": flight(speed=1.0)}, "the navigation is too short"),
+    (VelocityHeight(WISHED), {"start": 12.0}, "the navigation is too short"),
     (VelocityHeight(1.0), {}, r"overlap must lie in \[0, 1\)"),
     (VelocityHeight(WISHED), {"trajectory": LOOKS_UP}, "sees no ground at 0 s"),
-    (GroundShared(0.15, stations=STATIONS), {"trajectory": flight(0.5)}, "the last whole image is at 0.5 s"),
-    (GroundShared(0.0, stations=STATIONS), {"trajectory": flight(speed=1.0)}, "fewer than two images"),
+    (
+        GroundShared(0.15, stations=STATIONS),
+        {"trajectory": flight(0.5)},
+        "later than 0.5 s, the time of the last whole image",
+    ),
+    (GroundShared(0.0, stations=STATIONS), {"trajectory": flight(speed=1.0)}, "the navigation is too short"),
     (GroundShared(0.15, stations=1), {}, "stations must be at least 2"),
     (GroundShared(1.2), {}, r"overlap must lie in \[0, 1\)"),
 ]

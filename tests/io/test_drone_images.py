@@ -415,7 +415,7 @@ def test_several_images_and_a_folder(image, tmp_path: pathlib.Path) -> None:
     assert twice.names.tolist() == [str(tmp_path / "b.jpg"), str(tmp_path / "c/b.jpg")]
     partly = read([image({**DJI, "drone-dji:RtkStdLat": "0"}, "a.jpg"), paths[0]])
     np.testing.assert_allclose(partly.sources[0].sigma, [[3.0, 3.0, 5.0], [0.0093, 0.0097, 0.04]])
-    assert any("1 of 2 images do not say how well their positions are known" in line for line in partly.assumed)
+    assert any("1 of 2 images state no position accuracy" in line for line in partly.assumed)
     none = read(image({**DJI, "drone-dji:RtkFlag": "0"}, "a.jpg"))
     assert (len(none.sources), none.facts["position errors"]) == (1, "not said")
 
@@ -678,7 +678,7 @@ def test_a_camera_by_text_name_and_file(image, tmp_path: pathlib.Path) -> None:
         camera: Any = found.sensor.camera  # type: ignore[union-attr]
         np.testing.assert_allclose(camera.focal_px, [[focal, focal]], rtol=1e-12)
         assert [one.label for one in found.sources] == ["position"]
-        assert any(line.startswith("The camera is taken as it is given") for line in found.assumed)
+        assert any(line.startswith("The camera is taken as given") for line in found.assumed)
     np.testing.assert_allclose(camera.principal_px, [[19.6, 14.5]])  # by edges, (2009.5 + 0.5) / 100 - 0.5
     named = read(image(BARE, name="c.jpg", exif=less_exif(CAMERA, 0x920A)), camera="Mavic Pro")
     assert named.facts["focal length"].endswith("(table of cameras: Mavic Pro)")

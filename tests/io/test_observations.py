@@ -158,7 +158,7 @@ def test_accuracy_is_that_of_each_observation(folder) -> None:
     for row in (1, 3):
         observation, sources = observed.at(row)
         one = accuracy(observation, GROUND, sources, probability=0.5)
-        np.testing.assert_allclose(found.circular[row], float(one.circular.value), rtol=1e-9)
+        np.testing.assert_allclose(found.circular[row], float(one.circular), rtol=1e-9)
     assert {"ce50_m", "le50_m", "accuracy_method"} <= set(observed.table(fixes, found)[1])
     assert SAMPLES_OF_MANY < 20_000
 

@@ -51,7 +51,7 @@ def test_a_place_has_the_figures_of_its_pixel_alone(level) -> None:
     for place in map(tuple, (seen[0], seen[-1])):
         alone = accuracy(SENSOR, SHOT, level.uv[place], LEVEL, MODEL)
         for name in FIGURES:
-            assert float(getattr(level, name)[place]) == pytest.approx(getattr(alone, name), rel=1e-9), name
+            assert float(getattr(level, name)[place]) == pytest.approx(float(getattr(alone, name)), rel=1e-9), name
         off = WGS84.to_ecef(at(level.position, place)) - alone.fix.ecef
         np.testing.assert_allclose(off, 0.0, atol=1e-6)  # m
 
@@ -161,7 +161,7 @@ def test_on_a_terrain_each_cell_has_the_figures_of_its_pixel_alone(walled) -> No
             alone = accuracy(SENSOR, high, found.uv[cell], dem, MODEL, sampling=DRAWN)
             assert Method(int(alone.method)) is one
             for name in FIGURES:
-                assert float(getattr(found, name)[cell]) == pytest.approx(getattr(alone, name), rel=1e-9), name
+                assert float(getattr(found, name)[cell]) == pytest.approx(float(getattr(alone, name)), rel=1e-9), name
             if alone.sampled is not None:
                 assert float(found.failed[cell]) == pytest.approx(float(alone.failed), abs=1e-12)
 

@@ -150,7 +150,7 @@ def test_with_sigmas_reaches_into_blocks():
 def test_mistakes_are_named(look):
     with pytest.raises(ValueError, match="rises_away: The ray"):
         budget(propagated(some_errors(), outer=120.0))
-    with pytest.raises(ValueError, match="one look"):
+    with pytest.raises(ValueError, match="one observation"):
         budget(jax.tree.map(lambda x: jnp.stack([x, x]), look))
     with pytest.raises(TypeError, match="Propagation"):
         budget(some_errors())

@@ -147,7 +147,7 @@ def test_models_that_differ_are_refused() -> None:
     )
     with pytest.raises(ValueError, match="other error sources"):
         joint_covariance([fix, other])
-    with pytest.raises(ValueError, match="an entry for each of the 2 looks"):
+    with pytest.raises(ValueError, match="an entry for each of the 2 observations"):
         joint_covariance([fix, fix], shots=[0])
     with pytest.raises(ValueError, match="at least one"):
         joint_covariance([])

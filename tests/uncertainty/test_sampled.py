@@ -50,7 +50,7 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
 def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
     look = ModelInputs.of(*SCENE[:4])
     plan = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
-    assert plan.look is look
+    assert plan.inputs is look
 
 
 def test_another_key_gives_others(drawn) -> None:

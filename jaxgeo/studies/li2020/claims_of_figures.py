@@ -38,7 +38,7 @@ def claims_of_figures(report: Report) -> list[Claim]:
             report,
             "Fig. 7",
             "1° of heading, pitch and roll: the frame lies far from the expected one, the images gape",
-            "coverage.overlap.overlap",
+            "coverage.overlap",
             lambda: _apart(report),
         ),
         in_flight(

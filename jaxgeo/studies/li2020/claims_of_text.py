@@ -63,7 +63,7 @@ def claims_of_text(report: Report) -> list[Claim]:
             report,
             "Section 2.1",
             "the overlap is least at the near end",
-            "coverage.overlap.overlap",
+            "coverage.overlap",
             lambda: _near_is_least(report),
         ),
         _agreement(report, "Section 3.1", "both methods agree for one angle"),
