@@ -26,7 +26,7 @@ PIXELS, POINTS, SAMPLES = (1200.0, 2400.0), 5000, 10_000
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Time to a first answer.")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--only", default=",".join(KINDS))
     parser.add_argument("--against", type=pathlib.Path, help="another checkout")

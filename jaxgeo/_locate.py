@@ -204,7 +204,7 @@ def project(
         check_terrain(terrain, FIRST_HIT)
     point = as_float64(point, "point")
     check_latitude(point, "point")
-    tolerance = as_float64(hidden_tolerance, "hidden_tolerance")
+    tolerance = jnp.asarray(as_float64(hidden_tolerance, "hidden_tolerance"))
     return _project(*seen_from, point, terrain, tolerance, checked_air(atmosphere))
 
 
