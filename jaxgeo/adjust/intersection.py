@@ -180,9 +180,8 @@ def forward_intersection(
 
     The status is `too_few_rays` for fewer than two used rays; `weak_intersection` for a standard deviation above a
     tenth of the shortest slant range; `behind_camera`, `outside_distortion_field`, `invalid_input` (NaN in a used ray),
-    `not_converged`, also where a solver ends off the
-    minimum. No ray is rejected automatically. A scanning camera in motion needs shots at the times of its
-    pixels.
+    `not_converged`, also where a solver ends off the minimum. No ray is rejected automatically. A scanning camera in
+    motion needs shots at the times of its pixels.
 
     Raises `RuntimeError` with 64-bit floats off; `TypeError` for float32 and arguments of the wrong kind; `ValueError`
     for shapes that do not fit, fewer than two rays, a latitude beyond a pole, a sigma that is not positive, neither
