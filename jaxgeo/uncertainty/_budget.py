@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_is
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.status import Status
@@ -180,7 +180,7 @@ def error_and_slopes(linear: Linear, sigma: Sigmas, probability: Scalar) -> tupl
     return error, jnp.sum(by_cov[:, :, None] * by_sigma, axis=(0, 1))
 
 
-_error_and_slopes = jax.jit(jax.value_and_grad(circular_error))
+_error_and_slopes = quick_jit(jax.value_and_grad(circular_error))
 
 
 @quick_filter_jit

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
@@ -23,6 +23,7 @@ from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_e
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
+_circular_error, _linear_error, _spherical_error = map(quick_jit, (circular_error, linear_error, spherical_error))
 SPREAD = 3.0**0.5  # sigmas: distance of a sigma point, exact to the fourth moment of a Gaussian along its axis
 
 
@@ -37,15 +38,15 @@ class Moments(NamedTuple):
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
         """Radius in m about the nominal fix in the horizontal plane."""
-        return jax.jit(circular_error)(self.cov_enu[:2, :2], probability, self.mean_enu[:2])
+        return _circular_error(self.cov_enu[:2, :2], probability, self.mean_enu[:2])
 
     def linear_error(self, probability: ArrayLike) -> Scalar:
         """Height in m above and below the nominal fix."""
-        return jax.jit(linear_error)(self.cov_enu[2, 2], probability, self.mean_enu[2])
+        return _linear_error(self.cov_enu[2, 2], probability, self.mean_enu[2])
 
     def spherical_error(self, probability: ArrayLike) -> Scalar:
         """3D radius in m about the nominal fix."""
-        return jax.jit(spherical_error)(self.cov_enu, probability, self.mean_enu)
+        return _spherical_error(self.cov_enu, probability, self.mean_enu)
 
 
 @accepts_observation

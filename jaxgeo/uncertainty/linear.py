@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
@@ -29,7 +29,7 @@ Swept = Float[Array, "3 axes"]
 FACET = Facet()
 LEAST_KNOWN = 0.5  # share of a footprint with known ground, below which the fitted plane is not used
 # Under `jit` an invalid covariance, as without a fix, gives NaN instead of an exception.
-_circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
+_circular_error, _linear_error, _spherical_error = map(quick_jit, (circular_error, linear_error, spherical_error))
 
 
 class Propagation(Record):
