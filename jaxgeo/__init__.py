@@ -51,7 +51,7 @@ from jaxgeo.sensor import (
     WhiskbroomCamera,
 )
 from jaxgeo.status import Status
-from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
+from jaxgeo.terrain import ConstantHeight, Dem, FirstHit
 from jaxgeo.uncertainty import (
     ErrorModel,
     Sampling,
@@ -66,6 +66,7 @@ from jaxgeo.uncertainty import (
 
 if TYPE_CHECKING:
     from jaxgeo import adjust, coverage, io, ortho, plot, register
+    from jaxgeo.terrain import Bisection
 
 __all__ = [
     "WGS84",
@@ -134,8 +135,10 @@ _ON_DEMAND = (
 def __getattr__(name: str) -> Any:
     if name in _ON_DEMAND:
         return importlib.import_module(f"{__name__}.{name}")
+    if name == "Bisection":  # with the searches of the literature, loaded when first used
+        return importlib.import_module("jaxgeo.terrain").Bisection
     return _renamed(name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ON_DEMAND})
+    return sorted({*globals(), *_ON_DEMAND, "Bisection"})

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import importlib.metadata
 import os
 import pathlib
-import platform
 import warnings
 
 FOLDER = "JAXGEO_CACHE_DIR"  # environment variable; empty: no cache
@@ -55,6 +52,8 @@ def cache_folder(folder: str | os.PathLike[str] | None = None) -> pathlib.Path |
     asked = os.environ.get(FOLDER) if folder is None else folder
     if asked == "":
         return None
+    import importlib.metadata
+
     import platformdirs
 
     root = pathlib.Path(asked) if asked else pathlib.Path(platformdirs.user_cache_dir("jaxgeo", appauthor=False))
@@ -66,6 +65,9 @@ def cache_folder(folder: str | os.PathLike[str] | None = None) -> pathlib.Path |
 
 def _processor() -> str:
     """Short hash of the processor features: several machines may share a home directory."""
+    import hashlib
+    import platform
+
     features = platform.machine() + platform.processor()
     with contextlib.suppress(OSError):
         lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
