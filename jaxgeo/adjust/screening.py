@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from jaxgeo._record import portable
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.control_consensus import Motion, consensus
 from jaxgeo.adjust.kept import Kept, control_of
@@ -43,6 +44,7 @@ class Screened:
         return f"{self.kind} {self.point}{where} (row {self.row}): {self.why}"
 
 
+@portable
 class ControlElsewhere(ValueError):
     """All control is displaced relative to the images: `shift` (3,) in m of the block's frame."""
 
