@@ -175,8 +175,8 @@ def forward_intersection(
     `solver` is an optimistix least-squares solver, from the same start, with the same derivatives. The default is
     `STEPS` Gauss-Newton steps: the first call of six rays with `sigma` takes 3.3 s of processor time compiled alike, by
     optimistix 3.8 (`GaussNewton`) to 5.2 s (`Dogleg`), and 2000 points in one `vmap` 22 ms, by `GaussNewton` 16 to
-    18 ms and by `LevenbergMarquardt` 164 ms (single runs on two busy cores; `benchmarks/solvers.py` repeats them). Single
-    calls are compiled with fewer optimisations, in 2.0 s.
+    18 ms and by `LevenbergMarquardt` 164 ms (single runs on two busy cores; `benchmarks/solvers.py` repeats them).
+    Single calls are compiled with fewer optimisations, in 2.0 s.
 
     The status is `too_few_rays` for fewer than two used rays; `weak_intersection` for a standard deviation above a
     tenth of the shortest slant range; `behind_camera`, `outside_distortion_field`, `invalid_input` (NaN in a used ray),
