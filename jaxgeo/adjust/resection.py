@@ -91,7 +91,8 @@ def resect_image(
     `solver` is an optimistix least-squares solver. The default, MINPACK's Levenberg-Marquardt in SciPy, compiles
     nothing: with the import of SciPy the first image takes 0.3 s of processor time, by optimistix 2 to 5 s for every
     new number of points; later images take 3.4 ms from one start, by optimistix 1.0 to 1.4 ms, with the same
-    orientations to 2e-5 m from as many poor starts (single runs; `benchmarks/solvers.py`). For many images of equally many points, pass one.
+    orientations to 2e-5 m from as many poor starts (single runs; `benchmarks/solvers.py`). For many images of equally
+    many points, pass one.
 
     Raises `ValueError` for collinear positions, and if no start converges.
     """
