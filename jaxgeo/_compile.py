@@ -28,12 +28,6 @@ def quick_options() -> dict[str, Any]:
     return options
 
 
-@functools.cache
-def compiled_quickly(program: T) -> T:
-    """`program` compiled for single calls: in a third of the compile time, running 0.2 ms instead of 0.1 ms."""
-    return eqx.filter_jit(program, compiler_options=quick_options())  # pyright: ignore
-
-
 def quick_jit(function: T) -> T:
     """`jax.jit`, for functions of one item: called directly they compile quickly, for a third more run time.
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int
 
-from jaxgeo._checks import is_known
-from jaxgeo._compile import compiled_quickly
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._record import Record
 from jaxgeo._typing import (
@@ -199,15 +197,10 @@ def forward_intersection(
     """
     check_least_squares(solver)
     measured = checked_measurements(sensor, shots, uvs, sigma, errors, use, atmosphere, shot_of, flight_of)
-    program = compiled_quickly(_intersect) if is_known((measured, solver)) else _intersect_jitted
-    return program(measured, solver)
-
-
-@eqx.filter_jit
-def _intersect_jitted(measured: Measured, solver: Any) -> Intersection:
     return _intersect(measured, solver)
 
 
+@quick_filter_jit
 def _intersect(measured: Measured, solver: Any) -> Intersection:
     images, directions, rays, status = _lines(measured)
     used, air = images.used, finite_or(measured.air, 1.0)

@@ -104,7 +104,7 @@ def shots_of(
 ) -> tuple[Shot, list[dict[str, Any]]]:
     """(batch of shots, rows as text) of a table without pixels."""
     from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
-    from jaxgeo.io.observations import check_stated, height_datum_of
+    from jaxgeo.io.observation_reader import check_stated, height_datum_of
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
@@ -127,7 +127,7 @@ def trajectory_of(
     """
     from jaxgeo.io import read_navigation
     from jaxgeo.io._csv import gimbal_columns, read_csv
-    from jaxgeo.io.observations import height_datum_of
+    from jaxgeo.io.observation_reader import height_datum_of
 
     names = scene.sensor.gimbal.names
     columns = list(gimbal_columns(names))

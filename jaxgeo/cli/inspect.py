@@ -83,7 +83,7 @@ def _files_in(files: list[pathlib.Path]) -> list[pathlib.Path]:
 def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[jaxgeo.io.AcquisitionSet, str | None]:
     """(exposures, why their vertical datum is unknown or None); without a datum heights are as in the files."""
     from jaxgeo.io.acquisitions import UnstatedDatum
-    from jaxgeo.io.observations import read_files
+    from jaxgeo.io.observation_reader import read_files
 
     try:
         with reading_files(files) as progress:

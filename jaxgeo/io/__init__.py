@@ -28,7 +28,8 @@ from jaxgeo.io.locate_on_disk import intersect_files, locate_files
 from jaxgeo.io.located import accuracy_of_observations, locate_observations
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
-from jaxgeo.io.observations import ObservationBatch, Observations, observations_of, read_observations
+from jaxgeo.io.observation_reader import observations_of, read_observations
+from jaxgeo.io.observations import ObservationBatch, Observations
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
 from jaxgeo.io.orientation_writer import write_orientations
 from jaxgeo.io.orientations import Orientations, read_orientations

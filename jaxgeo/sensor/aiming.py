@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import is_known
-from jaxgeo._compile import compiled_quickly
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._numerics import all_finite, matmul3, matvec
 from jaxgeo._typing import Flag, Flags, Pixel, Scalar, StatusCode
 from jaxgeo.earth import Atmosphere
@@ -84,8 +84,8 @@ def aim(
         solver = default_root_finder() if is_known(wanted) else FixedNewton()
     if isinstance(solver, FixedNewton) or not is_known((wanted, solver)):
         return _aim_whole(solver, *wanted)
-    found = compiled_quickly(_aim_short)(solver, *wanted)
-    return compiled_quickly(_aim_long)(solver, *wanted) if found.status == Status.outside_gimbal_range else found
+    found = _aim_short(solver, *wanted)
+    return _aim_long(solver, *wanted) if found.status == Status.outside_gimbal_range else found
 
 
 @eqx.filter_jit
@@ -93,10 +93,12 @@ def _aim_whole(solver: Any, *wanted: Any) -> Aimed:
     return _aim(functools.partial(_best, solver), *wanted)
 
 
+@quick_filter_jit
 def _aim_short(solver: Any, *wanted: Any) -> Aimed:
     return _aim(lambda inputs: (_short_way(solver, inputs), jnp.asarray(True)), *wanted)
 
 
+@quick_filter_jit
 def _aim_long(solver: Any, *wanted: Any) -> Aimed:
     return _aim(functools.partial(_long_way, solver), *wanted)
 

@@ -12,6 +12,7 @@ from support.scenes import hit, local_ray, rough, small_dem
 from jaxgeo import Bisection, ConstantHeight, Dem, Geodetic, Ray, Status, intersect
 from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.terrain import AbstractField, ConstantField, LineField, Segmented, SumField, TargetArea
+from jaxgeo.terrain.search import batched
 
 SIDE = 129  # posts
 NODES = 65
