@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from jaxgeo._arguments import (
     UNIT_TOLERANCE,
@@ -24,7 +25,7 @@ from jaxgeo._arguments import (
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._compile import quick_jit
 from jaxgeo._numerics import all_finite, dot, finite_or, safe_angle, safe_norm, tree_where
-from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
+from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, StatusCodes, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
@@ -37,6 +38,7 @@ from jaxgeo.sensor.exposure import image_of_point, line_of_sight
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, ConstantHeight, FirstHit
 from jaxgeo.terrain.polish import polish
+from jaxgeo.terrain.search.ground import Ground
 
 NEAR_TANGENT = 1e-3  # rad between ray and surface; below it, derivatives exceed a vertical ray's a thousandfold
 FIRST_HIT = FirstHit()
@@ -327,10 +329,27 @@ def touched_by(
 
     For batches of straight rays and a search accurate enough that one exact Newton step converges.
     """
+    ray, status = _checked_ray(ray, status, terrain)
+    return _touched(ray, status, terrain.bracket(ray, search), terrain)
+
+
+def touched_by_each(
+    rays: Ray, status: StatusCodes, ground: Ground, search: FirstHit
+) -> tuple[Float[Array, "rays 3"], StatusCodes]:
+    """`touched_by` of many rays (leading axis) over one ground."""
+    rays, status = ground.each(_checked_ray, rays, status)
+    return ground.each(_touched, rays, status, search.brackets(rays, ground))
+
+
+def _checked_ray(ray: Ray, status: StatusCode, terrain: AbstractTerrain) -> tuple[Ray, StatusCode]:
+    """A straight ray, or a substitute unless its status and values are sound; its status."""
     is_valid = all_finite(ray) & (jnp.abs(dot(ray.direction, ray.direction) - 1.0) <= UNIT_TOLERANCE)
     status = first_failure(status, status_where(is_valid, Status.hit, Status.invalid_input.code))
-    ray = tree_where(status == Status.hit, Ray(ray.origin, ray.direction), terrain.safe_ray())
-    bracket = terrain.bracket(ray, search)
+    return tree_where(status == Status.hit, Ray(ray.origin, ray.direction), terrain.safe_ray()), status
+
+
+def _touched(ray: Ray, status: StatusCode, bracket: Bracket, terrain: AbstractTerrain) -> tuple[Vector3, StatusCode]:
+    """(point, status) of a ray after its search, by one Newton step."""
     status = first_failure(status, bracket.status)
     value, gradient = jax.value_and_grad(terrain.clearance)(ray.at(bracket.near), bracket.cell)
     slope = dot(gradient, ray.direction)

@@ -14,6 +14,7 @@ Matrix3: TypeAlias = Float[Array, "3 3"]
 Flag: TypeAlias = Bool[Array, ""]
 Index: TypeAlias = Int[Array, ""]
 StatusCode: TypeAlias = Int8[Array, ""]
+StatusCodes: TypeAlias = Int8[Array, "..."]
 
 # One item or a batch, for elementwise functions.
 Numbers: TypeAlias = Float[Array, "..."]

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Int8
+from jaxtyping import Array, Float, Int8
 
-from jaxgeo._typing import Flags, Scalar, StatusCode, Vector3
+from jaxgeo._compile import quick_filter_jit
+from jaxgeo._locate import has_point, touched_by_each
+from jaxgeo._numerics import matvec
+from jaxgeo._typing import Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.search.beam import Beam, Spread
-from jaxgeo.uncertainty.draws import Random
+from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sightline
 from jaxgeo.uncertainty.sources.base import Error
 
-BLOCK = 2048  # lines of sight per block; intermediate results fit into the cache of a core
-LANES = 64  # block sizes are multiples of this, so that the search needs no padding
-PART = 4096  # lines of sight searched together, which bounds the memory
+BLOCK = 2560  # lines of sight formed and searched together: a multiple of 64, so that the search needs no padding
+STAGE = 1280  # lines of sight per step of forming them; intermediate results fit into the cache of a core
 TRIALS = 1024
 WIDER = 1.5  # factor on the largest trial deviation: about four sigmas, so that hardly any draw lies outside
 LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: margin for rounding if there is no spread
@@ -30,73 +32,91 @@ Stages: TypeAlias = Sequence[Callable[[Any], Any]]
 FixOffsets: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
 
 
-def fix_offsets(
-    model: ErrorModel, inputs: ModelInputs, nominal: NominalFix, search: AbstractSearch, stages: Stages, each: Array
-) -> FixOffsets:
-    """Fix offsets in m, and statuses, for a batch of errors that `stages` compute in order from `each` (leading axis).
+class PerturbedLines(NamedTuple):
+    """Perturbed lines of sight (leading axis), each with the perturbed leaves of its terrain and atmosphere (None for
+    the others) and the height in m by which a field raises its ground."""
 
-    The whole batch passes through each stage, then all lines of sight are formed, then all are intersected. Otherwise
-    the compiler would recompute an error at each use, and with it the chain of rotations.
+    sight: Sightline
+    own: Any
+    rise: Float[Array, " lines"]
+
+
+def perturbed_lines(model: ErrorModel, inputs: ModelInputs, places: Any, stages: Stages, each: Array) -> PerturbedLines:
+    """The lines of sight of a batch of errors that `stages` compute in order from `each` (leading axis).
+
+    `places` are the `places_of_ground`. The whole batch passes through each stage, and then all lines of sight are
+    formed. Otherwise the compiler would recompute an error at each use, and with it the chain of rotations.
     """
-    lines, own, common = _lines(model, inputs, stages, each)
 
-    def offset(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
-        terrain, air = eqx.combine(own, common)
-        return nominal.offset_of(line, terrain, air, search)
+    def line(error: Error) -> PerturbedLines:
+        moved = model.moved(inputs, error)
+        ground = _ground(moved)
+        own = jax.tree.map(lambda leaf, place: leaf if place < 0 else None, ground, places)
+        return PerturbedLines(moved.sightline(), own, _rise(ground[0]))
 
-    return jax.vmap(offset)(lines, own)
-
-
-def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -> tuple[Any, Any]:
-    """A function applied to a batch (leading axis) in parts of one size, in sequence, which bounds the memory.
-
-    It takes a part and a flag per item that is false for padding. It returns results per item, which are concatenated,
-    and results per part, which are stacked along a leading axis.
-    """
-    parts, count = _blocks(each, PART)
-    is_own = jnp.arange(parts.shape[0] * parts.shape[1]).reshape(parts.shape[:2]) < count
-    of_each, of_part = jax.lax.map(lambda part: function(*part), (parts, is_own))
-    return _concatenate(of_each, count), of_part
+    return _in_turn((*stages, line), each)
 
 
-def with_beam(search: AbstractSearch, model: ErrorModel, inputs: ModelInputs, nominal: NominalFix) -> AbstractSearch:
-    """The search, given the range from which the lines of sight of this model can be near the ground.
+def places_of_ground(model: ErrorModel, inputs: ModelInputs) -> Any:
+    """For each leaf of the perturbed terrain and atmosphere, its number among the leaves of those of `inputs`, or -1 if
+    the errors perturb it."""
+    places: Any = None
 
-    Their spread is estimated from `TRIALS` draws; a line outside that spread is searched without this information.
+    def moved(inputs: ModelInputs) -> Any:
+        nonlocal places
+        at = {id(leaf): place for place, leaf in enumerate(jax.tree.leaves(_ground(inputs)))}
+        ground = _ground(model.moved(inputs, jnp.zeros(model.size)))
+        places = jax.tree.map(lambda leaf: at.get(id(leaf), -1), ground)
+        return ()
+
+    eqx.filter_eval_shape(moved, inputs)
+    return places
+
+
+def common_ground(inputs: ModelInputs, places: Any) -> Any:
+    """Terrain and atmosphere with None for the leaves that the errors perturb."""
+    given = jax.tree.leaves(_ground(inputs))
+    return jax.tree.map(lambda place: None if place < 0 else given[place], places)
+
+
+def offsets_of_lines(nominal: NominalFix, search: AbstractSearch, lines: PerturbedLines, common: Any) -> FixOffsets:
+    """Offsets in m from the nominal fix, and statuses, of the fixes of perturbed lines of sight."""
+    terrain, air = eqx.combine(lines.own, common)
+    if isinstance(search, FirstHit) and isinstance(terrain, Dem) and air is None:
+        ground = Ground(lines.own[0], common[0])
+        p_ecef, status = touched_by_each(*lines.sight, ground, search)
+        offset = jnp.where(has_point(status)[:, None], p_ecef - nominal.p_ecef[None, :], 0.0)
+        return jax.vmap(matvec, in_axes=(None, 0))(nominal.R_ecef_from_enu.T, offset), status
+
+    def offset_of(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
+        return nominal.offset_of(line, *eqx.combine(own, common), search)
+
+    return jax.vmap(offset_of)(lines.sight, lines.own)
+
+
+def search_of_lines(search: AbstractSearch, inputs: ModelInputs, nominal: NominalFix, trial: PerturbedLines) -> Any:
+    """The search, given the range from which lines of sight that spread as the `trial` can be near the ground.
+
+    A line outside that spread is searched without this information.
     """
     if not isinstance(search, FirstHit) or not isinstance(inputs.terrain, Dem) or inputs.air is not None:
         return search
-    roots, key = model.roots(), jax.random.key(0)
+    return FirstHit(_beam(inputs, nominal.distance, trial))
 
-    def error_of(number: Int[Array, ""]) -> Error:
-        return model.draw(roots, Random().standard_normal(key, number, model.size))
 
-    lines, own, common = _lines(model, inputs, (error_of,), jnp.arange(TRIALS))
+@quick_filter_jit
+def _beam(inputs: ModelInputs, distance: Scalar, trial: PerturbedLines) -> Beam:
     ray, _ = inputs.sightline()
     farthest = lambda all_, middle: jnp.max(jnp.linalg.norm(all_ - middle[None, :], axis=1))  # noqa: E731
-    rises = jax.vmap(lambda _, own: _rise(eqx.combine(own, common)[0]))(lines.status, own)
-    spread = Spread(farthest(lines.ray.origin, ray.origin), farthest(lines.ray.direction, ray.direction), rises.max())
+    lines = trial.sight.ray
+    spread = Spread(farthest(lines.origin, ray.origin), farthest(lines.direction, ray.direction), trial.rise.max())
     spread = Spread(*(WIDER * jnp.maximum(part, 0.0) + least for part, least in zip(spread, LEAST, strict=True)))
-    return FirstHit(Beam.about(ray, nominal.distance, inputs.terrain, spread))
+    return Beam.about(ray, distance, inputs.terrain, spread)
 
 
-def _lines(model: ErrorModel, inputs: ModelInputs, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
-    """(lines of sight, perturbed parts of terrain and atmosphere per line, parts common to all)."""
-    given = {id(leaf) for leaf in jax.tree.leaves(_ground(inputs))}
-    example = _ground(model.moved(inputs, jnp.zeros(model.size)))
-    is_moved = jax.tree.map(lambda leaf: id(leaf) not in given, example)
-
-    def line(error: Error) -> tuple[Sightline, Any]:
-        moved = model.moved(inputs, error)
-        return moved.sightline(), eqx.filter(_ground(moved), is_moved)
-
-    lines, own = _in_turn((*stages, line), each)
-    return lines, own, eqx.filter(example, is_moved, inverse=True)
-
-
-def _rise(terrain: Dem) -> Scalar:
+def _rise(terrain: AbstractTerrain) -> Scalar:
     """Height in m by which a field raises the ground."""
-    return jnp.asarray(0.0 if terrain.rise is None else terrain.rise)
+    return jnp.asarray(0.0 if not isinstance(terrain, Dem) or terrain.rise is None else terrain.rise)
 
 
 def _ground(inputs: ModelInputs) -> tuple[AbstractTerrain, Atmosphere | None]:
@@ -104,27 +124,31 @@ def _ground(inputs: ModelInputs) -> tuple[AbstractTerrain, Atmosphere | None]:
     return inputs.terrain, inputs.air
 
 
+def in_blocks(function: Callable[[Any], Any], each: Array, most: int) -> Any:
+    """A function of a batch (leading axis) in blocks of one size of at most `most`, in sequence."""
+    return _joined(jax.lax.map(function, _blocks(each, most)), each.shape[0])
+
+
 def _in_turn(stages: Stages, each: Array) -> Any:
-    """Results of `stages` applied in order to a batch (leading axis), in blocks; in between, the batch axis is last."""
-    blocks, count = _blocks(each, BLOCK)
+    """Results of `stages` applied in order to a batch (leading axis), in steps; in between, the batch axis is last."""
+    blocks = _blocks(each, STAGE)
     *others, last = stages
     axis = 0
     for stage in others:
         blocks = jax.lax.map(jax.vmap(stage, in_axes=axis, out_axes=-1), blocks)
         axis = -1
-    return _concatenate(jax.lax.map(jax.vmap(last, in_axes=axis), blocks), count)
+    return _joined(jax.lax.map(jax.vmap(last, in_axes=axis), blocks), each.shape[0])
 
 
-def _blocks(each: Array, largest: int) -> tuple[Array, int]:
-    """The batch in blocks of one size, the last one padded, and the number of items."""
-    count, shape = each.shape[0], each.shape[1:]
-    blocks = max(-(-count // largest), 1)
+def _blocks(each: Array, most: int) -> Array:
+    """The batch in blocks of one size, the last one padded."""
+    count = each.shape[0]
+    blocks = max(-(-count // most), 1)
     size = -(-count // blocks)
-    size = min(largest, LANES * -(-size // LANES))
-    filled = jnp.concatenate([each, jnp.broadcast_to(each[-1:], (blocks * size - count, *shape))])
-    return filled.reshape(blocks, size, *shape), count
+    filled = jnp.concatenate([each, jnp.broadcast_to(each[-1:], (blocks * size - count, *each.shape[1:]))])
+    return filled.reshape(blocks, size, *each.shape[1:])
 
 
-def _concatenate(blocks: Any, count: int) -> Any:
-    """The first `count` items of blocks, concatenated."""
+def _joined(blocks: Any, count: int) -> Any:
+    """The first `count` items of blocks."""
     return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:count], blocks)

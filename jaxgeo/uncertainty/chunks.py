@@ -1,9 +1,12 @@
-"""Chunked Monte Carlo sampling on all devices."""
+"""Chunked Monte Carlo sampling on all devices.
+
+A chunk is drawn by two programs of one size for every count: the perturbed lines of sight, which depend on the error
+model, and their fixes, which do not. Each goes through as many blocks of lines as the chunk needs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,71 +16,75 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._compile import quick_filter_jit
-from jaxgeo._typing import Flags, Vector3
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
+from jaxgeo._typing import Flags, Index, Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
-from jaxgeo.uncertainty.batched_rays import FixOffsets, fix_offsets, in_parts, with_beam
+from jaxgeo.uncertainty.batched_rays import (
+    BLOCK,
+    TRIALS,
+    PerturbedLines,
+    common_ground,
+    offsets_of_lines,
+    perturbed_lines,
+    places_of_ground,
+    search_of_lines,
+)
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+
+CAPACITY = 6 * BLOCK  # samples of one call on one device, at most
 
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
 _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for i in range(4)])
 
 
-class Plan(NamedTuple):
-    """Inputs of a sampling, common to all chunks."""
+class LinePlan(NamedTuple):
+    """What the lines of sight of a sampling come from; for `places` see `places_of_ground`."""
 
     inputs: ModelInputs
-    nominal: NominalFix
     model: ErrorModel
     roots: tuple[Root, ...]
     turn: Float[Array, "axes axes"] | None
     draws: AbstractDraws
-    search: AbstractSearch
     key: Any
+    places: Any
 
 
-def make_plan(
-    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any
-) -> Plan:
-    """Sampling plan of an observation; its terrain bypasses the compiled function, which would return a copy."""
-    model, roots, turn, search = _prepare(inputs, nominal, model, draws, search)
-    return Plan(inputs, nominal, model, roots, turn, draws, search, key)
+class FixPlan(NamedTuple):
+    """What their fixes come from, the same for all error models; `common` is the ground that no error perturbs."""
+
+    nominal: NominalFix
+    search: AbstractSearch
+    common: Any
 
 
-@quick_filter_jit
-def _prepare(
-    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
-) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, AbstractSearch]:
-    """(model at the observation, its roots, rotation for Sobol points, search with a beam)."""
-    model = model.at(inputs, nominal)
-    turn = None
-    if isinstance(draws, Sobol):
-        turn = _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
-    return model, model.roots(), turn, with_beam(search, model, inputs, nominal)
+class Plan(NamedTuple):
+    """Inputs of a sampling, common to all chunks."""
+
+    lines: LinePlan
+    fixes: FixPlan
 
 
-def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
-    """Rotation of standard normal vectors after which the leading components displace the fix most."""
-    sound = jnp.all(jnp.isfinite(swept))
-    _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
-    return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
+class Size(NamedTuple):
+    """Size of the programs: samples of one call on one device, and the devices."""
+
+    capacity: int
+    devices: tuple[Any, ...]
 
 
-def _offsets(plan: Plan, numbers: Int[Array, " samples"]) -> FixOffsets:
-    """Fix offsets in m and statuses of the samples with these numbers."""
+class Part(NamedTuple):
+    """Part of a sampling: the first sample, the number of samples, and how many of them a device draws."""
 
-    *others, last = plan.draws.stages(plan.key, plan.model.size)
+    first: Int[Array, ""]
+    count: Int[Array, ""]
+    share: Int[Array, ""]
 
-    def error_of(numbers: Any) -> Float[Array, " axes"]:
-        normal = last(numbers)
-        if plan.turn is not None:
-            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
-        return plan.model.draw(plan.roots, normal)
-
-    return fix_offsets(plan.model, plan.inputs, plan.nominal, plan.search, (*others, error_of), numbers)
+    @classmethod
+    def of(cls, first: int, count: int, devices: int) -> Part:
+        """A part divided among some devices."""
+        return cls(*jax.tree.map(jnp.asarray, (first, count, -(-count // devices))))
 
 
 class Drawn(NamedTuple):
@@ -90,54 +97,134 @@ class Drawn(NamedTuple):
     statuses: Int8[Array, " samples"]
     errors: Float[Array, "samples 3"] | None
 
+    def of_samples(self, count: int) -> Drawn:
+        """The chunk on the host, without the padding of each device's share."""
+        moments, *rest = jax.tree.map(np.asarray, tuple(self))
+        devices = len(moments)
+        share = -(-count // devices)
+        own = lambda x: x.reshape(devices, -1, *x.shape[1:])[:, :share].reshape(-1, *x.shape[1:])[:count]  # noqa: E731
+        return Drawn(moments, *jax.tree.map(own, rest))
+
+
+def make_plan(
+    inputs: ModelInputs,
+    nominal: NominalFix,
+    model: ErrorModel,
+    draws: AbstractDraws,
+    search: AbstractSearch,
+    key: Any,
+    size: Size,
+) -> Plan:
+    """Sampling plan of an observation on the devices of `size`; the search is told the spread of the lines."""
+    model, roots, turn, places = _evaluated(inputs, nominal, model, draws)
+    plan = Plan(
+        LinePlan(inputs, model, roots, turn, draws, key, places),
+        FixPlan(nominal, search, common_ground(inputs, places)),
+    )
+    if len(size.devices) > 1 or size.devices[0] != jax.devices()[0]:  # once, not per chunk: the terrain may be large
+        arrays, rest = eqx.partition(plan, eqx.is_array)
+        plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
+    trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, 1), size)
+    trial = jax.tree.map(lambda x: np.asarray(x)[:TRIALS], trial)
+    found = search_of_lines(search, plan.lines.inputs, nominal, trial)
+    return plan._replace(fixes=plan.fixes._replace(search=found))
+
+
+@quick_filter_jit
+def _evaluated(
+    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws
+) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, Any]:
+    """(model at the observation, its roots, rotation for Sobol points, places of the ground's leaves)."""
+    model = model.at(inputs, nominal)
+    turn = None
+    if isinstance(draws, Sobol):
+        turn = _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
+    return model, model.roots(), turn, places_of_ground(model, inputs)
+
+
+def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
+    """Rotation of standard normal vectors after which the leading components displace the fix most."""
+    sound = jnp.all(jnp.isfinite(swept))
+    _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
+    return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
+
+
+@batch_filter_jit
+def draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
+    """Perturbed lines of sight of a part, of which the first `part.share` on each device count."""
+
+    def drawn(device: Int[Array, "1"], plan: LinePlan, part: Part) -> PerturbedLines:
+        return _by_blocks(_lines_of_block, part.share, size.capacity, device[0], plan, part)[0]
+
+    return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan, part)
+
+
+@batch_filter_jit
+def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
+    """The chunk of a part from its perturbed lines of sight. Devices do not wait for each other's sums."""
+
+    def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
+        args = device[0], lines, plan, part, centre, keep
+        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, size.capacity, *args)
+        return Drawn(moments[None, :, :], radii, statuses, errors)
+
+    return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)), lines), plan, part, centre)
+
 
 @eqx.filter_jit
-def draw_chunk(
-    plan: Plan,
-    part: tuple[Int[Array, ""], Int[Array, ""]],
-    centre: Vector3,
-    size: int,
-    devices: tuple[Any, ...],
-    keep: bool,
-) -> Drawn:
-    """The chunk `part` = (first sample, number of samples), split over the devices and padded to `size` samples."""
-    drawn = partial(_draw, keep)
+def _lines_of_block(number: Index, device: Index, plan: LinePlan, part: Part) -> tuple[PerturbedLines, tuple[()]]:
+    *others, last = plan.draws.stages(plan.key, plan.model.size)
+
+    def error_of(numbers: Any) -> Float[Array, " axes"]:
+        normal = last(numbers)
+        if plan.turn is not None:
+            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
+        return plan.model.draw(plan.roots, normal)
+
+    samples = part.first + device * part.share + number * BLOCK + jnp.arange(BLOCK)
+    return perturbed_lines(plan.model, plan.inputs, plan.places, (*others, error_of), samples), ()
+
+
+@eqx.filter_jit
+def _fixes_of_block(
+    number: Index, device: Index, lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3, keep: bool
+) -> tuple[Any, Float[Array, "4 4"]]:
+    here = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, number * BLOCK, BLOCK), lines)
+    offset, status = offsets_of_lines(plan.nominal, plan.search, here, plan.common)
+    found = counts_as_fix(status)
+    error = offset - centre[None, :]
+    across, up = error[:, 0] ** 2 + error[:, 1] ** 2, error[:, 2]
+    radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
+    radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
+    errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
+    place = number * BLOCK + jnp.arange(BLOCK)
+    counts = found & (place < part.share) & (device * part.share + place < part.count)
+    return (radii, status, errors), _moments(error, counts)
+
+
+def _by_blocks(function: Any, count: Index, capacity: int, *args: Any) -> tuple[Any, Any]:
+    """`function(number, *args)` of as many blocks as `count` items need: results per item, with room for `capacity`,
+    and the sums of the results per block."""
+    zeros = lambda x, *size: jnp.zeros((*size, *x.shape[len(size) :]), x.dtype)  # noqa: E731
+    each, total = eqx.filter_eval_shape(function, jnp.asarray(0), *args)
+    start = jax.tree.map(lambda x: zeros(x, capacity), each), jax.tree.map(zeros, total)
+
+    def block(number: Index, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        here, more = function(number, *args)
+        put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * BLOCK, 0)  # noqa: E731
+        return jax.tree.map(put, state[0], here), jax.tree.map(jnp.add, state[1], more)
+
+    return jax.lax.fori_loop(0, -(-count // BLOCK), block, start)
+
+
+def _on_each(function: Callable[..., Any], devices: tuple[Any, ...], spread: tuple[Any, ...], *common: Any) -> Any:
+    """`function` on each device, of its part of `spread` (leading axis) and of what is common to all."""
     if len(devices) == 1:
-        return drawn(plan, part, centre, jnp.arange(size))
+        return function(*spread, *common)
     everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
-    spread = jax.shard_map(
-        drawn,
-        mesh=_mesh(devices),
-        in_specs=(everywhere, everywhere, everywhere, in_turn),
-        out_specs=in_turn,
-        check_vma=False,
-    )
-    return spread(plan, part, centre, jnp.arange(size))
-
-
-def _draw(
-    keep: bool,
-    plan: Plan,
-    part: tuple[Int[Array, ""], Int[Array, ""]],
-    centre: Vector3,
-    places: Int[Array, " samples"],
-) -> Drawn:
-    """Samples of a chunk at the indices `places`, drawn on one device. Devices do not wait for each other's sums."""
-    first, count = part
-
-    def some(places: Int[Array, " part"], is_own: Flags) -> tuple[Any, Any]:
-        offset, status = _offsets(plan, first + places)
-        found = counts_as_fix(status)
-        error = offset - centre[None, :]
-        across, up = error[:, 0] ** 2 + error[:, 1] ** 2, error[:, 2]
-        radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
-        radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
-        errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
-        counts = found & is_own & (places < count)
-        return (radii, status, errors), _moments(error, counts)
-
-    (radii, statuses, errors), moments = in_parts(some, places)
-    return Drawn(moments.sum(axis=0)[None, :, :], radii, statuses, errors)
+    specs = (in_turn,) * len(spread) + (everywhere,) * len(common)
+    every = jax.shard_map(function, mesh=_mesh(devices), in_specs=specs, out_specs=in_turn, check_vma=False)
+    return every(*spread, *common)
 
 
 def _moments(error: Float[Array, "part 3"], counts: Flags) -> Float[Array, "4 4"]:
@@ -155,28 +242,30 @@ def _mesh(devices: tuple[Any, ...]) -> Mesh:
 
 
 def one_ahead(
-    plan: Plan, parts: Iterator[tuple[int, int, int]], centre: Vector3, devices: tuple[Any, ...], keep: bool
+    plan: Plan, parts: Iterator[tuple[int, int]], centre: Vector3, size: Size, keep: bool
 ) -> Iterator[tuple[int, int, Drawn]]:
     """(first sample, number of samples, drawn samples) chunk by chunk; the next chunk is drawn in the meantime."""
-    # copied to the devices once, not per chunk: the terrain may be large
-    arrays, rest = eqx.partition((plan, centre), eqx.is_array)
-    plan, centre = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(devices), PartitionSpec())), rest)
     waiting = None
-    for first, size, padded in parts:
-        part = jnp.asarray(first), jnp.asarray(size)
-        drawn = draw_chunk(plan, part, centre, padded, devices, keep)
+    for first, count in parts:
+        part = Part.of(first, count, len(size.devices))
+        drawn = draw_chunk(plan.fixes, draw_lines(plan.lines, part, size), part, centre, size, keep)
         if waiting is not None:
             yield waiting
-        waiting = first, size, drawn
+        waiting = first, count, drawn
     if waiting is not None:
         yield waiting
 
 
-def chunks(count: int, chunk: int, devices: int, unit: int, progress: bool) -> Iterator[tuple[int, int, int]]:
-    """(first sample, number of samples, padded number); the last is a multiple of the device and scramble counts."""
-    unit = int(np.lcm(devices, unit))
-    size = -(-min(chunk, count) // unit) * unit
-    parts = [(first, min(size, count - first), size) for first in range(0, count, size)]
+def capacity_of(chunk: int, devices: int, unit: int) -> int:
+    """Samples per call and device for chunks of at most `chunk` samples and at least `unit`: one or several blocks."""
+    blocks = lambda samples: -(-samples // (devices * BLOCK))  # noqa: E731
+    return BLOCK * max(min(blocks(chunk), CAPACITY // BLOCK), blocks(unit), 1)
+
+
+def chunks(count: int, chunk: int, unit: int, progress: bool) -> Iterator[tuple[int, int]]:
+    """(first sample, number of samples) of chunks; all but the last are a multiple of `unit`, and at least that."""
+    size = max(chunk // unit, 1) * unit
+    parts = [(first, min(size, count - first)) for first in range(0, count, size)]
     if not progress:
         yield from parts
         return

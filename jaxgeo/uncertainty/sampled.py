@@ -19,8 +19,7 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.batched_rays import PART
-from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, make_plan, one_ahead
+from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, capacity_of, chunks, make_plan, one_ahead
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.host_arrays import with_bar
 from jaxgeo.uncertainty.intervals import (
@@ -36,7 +35,6 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampling import Sampling, merge_sampling, resolve_sampling
 
 SAMPLES = 10_000
-BETWEEN_CHECKS = 12 * PART  # samples, at most, between checks of `half_width`
 FIGURES = ("CE", "LE", "SE")
 
 
@@ -170,11 +168,13 @@ def draw_errors(
 ) -> Sampled:
     """`sample` of checked inputs, model and options, about a nominal fix."""
     draws: Any = sampling.draws
-    plan = make_plan(inputs, nominal, model, draws, search, sampling.random_key)
+    devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
+    size = Size(capacity_of(sampling.chunk, len(devices), sampling.scrambles), devices)
+    plan = make_plan(inputs, nominal, model, draws, search, sampling.random_key, size)
     centre = np.zeros(3)
     if about_mean:
-        centre = _gather(plan, dataclasses.replace(sampling, half_width=None), (), False, centre).mean_enu
-    return _gather(plan, sampling, tuple(figures), keep, centre)
+        centre = _gather(plan, size, dataclasses.replace(sampling, half_width=None), (), False, centre).mean_enu
+    return _gather(plan, size, sampling, tuple(figures), keep, centre)
 
 
 def sample_where_needed(
@@ -203,18 +203,16 @@ def sample_where_needed(
     return columns
 
 
-def _gather(plan: Plan, sampling: Any, figures: tuple[str, ...], keep: bool, centre: np.ndarray) -> Sampled:
+def _gather(plan: Plan, size: Size, sampling: Any, figures: tuple[str, ...], keep: bool, centre: np.ndarray) -> Sampled:
     """Draw all chunks and collect the requested results."""
-    devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
     tally = _Tally(sampling.count, figures, keep)
     unit, width = max(sampling.scrambles, 1), sampling.half_width
-    chunk = sampling.chunk if width is None else min(sampling.chunk, BETWEEN_CHECKS)
-    parts = chunks(sampling.count, chunk, len(devices), unit, sampling.progress)
-    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices, keep):
-        tally.add(first, size, drawn)
+    parts = chunks(sampling.count, min(sampling.chunk, size.capacity * len(size.devices)), unit, sampling.progress)
+    for first, count, drawn in one_ahead(plan, parts, jnp.asarray(centre), size, keep):
+        tally.add(first, count, drawn)
         if width is not None and tally.is_sharp(width, sampling.confidence, sampling.scrambles):
             break
-    return tally.result(plan.nominal.fix, centre, sampling.scrambles, sampling.confidence)
+    return tally.result(plan.fixes.nominal.fix, centre, sampling.scrambles, sampling.confidence)
 
 
 class _Tally:
@@ -228,22 +226,22 @@ class _Tally:
         self.radii = {figure: np.empty(count) for figure in figures}
         self.kept = (np.empty((count, 3)), np.empty(count, np.int8)) if keep else None
 
-    def add(self, first: int, size: int, drawn: Drawn) -> None:
-        statuses = np.asarray(drawn.statuses)[:size]
-        self.count += size
-        moments = np.asarray(drawn.moments).sum(axis=0)
+    def add(self, first: int, count: int, drawn: Drawn) -> None:
+        drawn = drawn.of_samples(count)
+        place = slice(first, first + count)
+        self.count += count
+        moments = drawn.moments.sum(axis=0)
         self.found += round(moments[3, 3])
         self.sum += moments[:3, 3]
         self.squares += moments[:3, :3]
-        if np.any(statuses):
-            self.codes += np.bincount(statuses, minlength=len(Status))
+        if np.any(drawn.statuses):
+            self.codes += np.bincount(drawn.statuses, minlength=len(Status))
         else:  # all `hit`, the usual case: faster than bincount
-            self.codes[Status.hit] += size
+            self.codes[Status.hit] += count
         for figure, kept in self.radii.items():
-            kept[first : first + size] = np.asarray(drawn.radii[FIGURES.index(figure)])[:size]
+            kept[place] = drawn.radii[FIGURES.index(figure)]
         if self.kept is not None:
-            for all_, some in zip(self.kept, (drawn.errors, drawn.statuses), strict=True):
-                all_[first : first + size] = np.asarray(some)[:size]
+            self.kept[0][place], self.kept[1][place] = drawn.errors, drawn.statuses
 
     def is_sharp(self, half_width: float, confidence: float, scrambles: int) -> bool:
         """Whether the first figure's interval at 90 % is narrow enough; checked after every 25 % more samples."""

@@ -14,12 +14,11 @@ import numpy as np
 
 from jaxgeo._checks import check_countable
 from jaxgeo._record import portable
-from jaxgeo.uncertainty.batched_rays import PART
 from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-CHUNK = 62 * PART  # four chunks make about a million samples; no padding on one, two or four devices
+CHUNK = 2**18
 RANDOM = Random()
 
 

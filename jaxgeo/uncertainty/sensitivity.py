@@ -14,6 +14,7 @@ import scipy  # submodules load lazily
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
@@ -22,14 +23,22 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._budget import source_names
-from jaxgeo.uncertainty.batched_rays import fix_offsets, in_parts
+from jaxgeo.uncertainty.batched_rays import (
+    BLOCK,
+    FixOffsets,
+    common_ground,
+    in_blocks,
+    offsets_of_lines,
+    perturbed_lines,
+    places_of_ground,
+)
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 
-CHUNK = 16_384  # rows at a time
+CHUNK = BLOCK  # rows at a time: one size for every count
 FEW = 0.1  # share of excluded rows above which the indices no longer describe the observation's error
 COMPONENTS = ("east", "north", "up", "horizontal")
 SUMS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
@@ -165,7 +174,7 @@ def sobol_indices(
     plan.nominal.require_fix()
     names, members = groups_of(model, by_axis)
     push = lambda normals: offsets_of(plan, normals, search)  # noqa: E731
-    offsets, found = evaluate(push, draws, key, members, count, min(options.chunk, count))
+    offsets, found = evaluate(push, draws, key, members, count, options.chunk)
     kept = np.all(found, axis=0)
     estimate = sobol_estimate(
         *(offsets[0, kept], offsets[1, kept], offsets[2:, kept]),
@@ -253,14 +262,14 @@ def _units(count: int, draws: AbstractDraws) -> np.ndarray:
     return numbers % draws.scrambles if isinstance(draws, Sobol) else numbers
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def make_plan(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Plan:
     """The model at an observation, with a factor that keeps sources and independent axes separate."""
     model = model.at(inputs, nominal)
     return Plan(inputs, nominal, model, model.factor())
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def offsets_of(
     plan: Plan, normals: Normals, search: AbstractSearch
 ) -> tuple[Float[Array, "rows 3"], Bool[Array, " rows"]]:
@@ -269,8 +278,14 @@ def offsets_of(
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
         return jnp.sum(plan.factor * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
 
-    some = lambda normals, _: (fix_offsets(plan.model, plan.inputs, plan.nominal, search, (error_of,), normals), ())  # noqa: E731
-    (offset, status), _ = in_parts(some, normals)
+    places = places_of_ground(plan.model, plan.inputs)
+    common = common_ground(plan.inputs, places)
+
+    def some(normals: Normals) -> FixOffsets:
+        lines = perturbed_lines(plan.model, plan.inputs, places, (error_of,), normals)
+        return offsets_of_lines(plan.nominal, search, lines, common)
+
+    offset, status = in_blocks(some, normals, BLOCK)
     return offset, counts_as_fix(status)
 
 

@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -16,8 +15,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
 from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, compare, propagate, sample, sources
-from jaxgeo.uncertainty.batched_rays import with_beam
-from jaxgeo.uncertainty.chunks import make_plan
+from jaxgeo.uncertainty.chunks import BLOCK, Size, make_plan
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
@@ -32,6 +30,7 @@ def shot(elevation_deg: float, height: float = 3000.0) -> Shot:
     return Shot(Pose.from_degrees(lat=45.0, lon=7.0, height=height, heading=30.0, pitch=elevation_deg))
 
 
+SIZE = Size(BLOCK, tuple(jax.devices()[:1]))
 SCENE = (SENSOR, shot(-30.0), (400.0, 300.0), GROUND, MODEL)
 
 
@@ -49,8 +48,9 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
 
 def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
     look = ModelInputs.of(*SCENE[:4])
-    plan = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
-    assert plan.inputs is look
+    plan = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY, SIZE)
+    assert plan.lines.inputs is look
+    assert {id(x) for x in jax.tree.leaves(plan.fixes.common)} <= {id(x) for x in jax.tree.leaves(look)}
 
 
 def test_another_key_gives_others(drawn) -> None:
@@ -130,11 +130,10 @@ def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
 
 @pytest.mark.parametrize("model", [MODEL, ErrorModel((sources.TerrainHeight.from_metres(4.0),))])
 def test_crowds_are_told_where_to_begin_whatever_errs(model: ErrorModel) -> None:
-    """Also if nothing moves the ground, or nothing but the ground moves: it can be traced."""
+    """Also if nothing moves the ground, or nothing but the ground moves."""
     look = ModelInputs.of(looks.sensor(), looks.shot(), looks.UV, looks.dem())
-    aim = eqx.filter_eval_shape(look.nominal_fix, FirstHit())
-    found = eqx.filter_eval_shape(with_beam, FirstHit(), model, look, aim)
-    assert found.beam.start.shape == ()
+    plan = make_plan(look, look.nominal_fix(FirstHit()), model, Random(), FirstHit(), KEY, SIZE)
+    assert plan.fixes.search.beam.start > 0.0
 
 
 @pytest.mark.slow

@@ -62,6 +62,10 @@ class FirstHit(AbstractSearch):
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
         return _first_hit(ray, dem, jax.lax.stop_gradient(self.beam))
 
+    def brackets(self, rays: Ray, ground: Ground) -> Bracket:
+        """Those of many rays (leading axis) over one ground; without derivatives."""
+        return _first_hits(rays, ground.bounded(), self.beam)
+
 
 @custom_vmap
 def _first_hit(ray: Ray, dem: Dem, beam: Beam | None) -> Bracket:

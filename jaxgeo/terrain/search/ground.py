@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 
 from jaxgeo._record import Record
+from jaxgeo.terrain.field import BoundedField
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
@@ -37,6 +38,22 @@ class Ground(Record):
     def each(self, function: Callable[..., Any], *args: Any) -> Any:
         """`function(*args, dem)` for every ray; the arguments have a leading axis of rays."""
         return jax.vmap(lambda own, *args: function(*args, eqx.combine(own, self.shared)))(self.own, *args)
+
+    def bounded(self) -> Ground:
+        """The same ground with the bounds of its field, if any, computed once per ray."""
+        field = eqx.combine(self.own, self.shared).field
+        if field is None:
+            return self
+        own = jax.tree.leaves(self.own.field)
+        if own:
+            bounds = self.each(lambda dem: dem.field.bounds())
+            own += bounds
+        else:
+            bounds = field.bounds()
+        own = {id(leaf) for leaf in own}
+        fields = eqx.partition(BoundedField(field, *bounds), lambda leaf: id(leaf) in own)
+        of = lambda dem, field: eqx.tree_at(lambda dem: dem.field, dem, field, is_leaf=lambda x: x is None)  # noqa: E731
+        return Ground(of(self.own, fields[0]), of(self.shared, fields[1]))
 
     def of_rays(self, pick: Callable[[Any], Any]) -> Ground:
         """The ground of selected rays: `pick` selects from an array with a leading axis of rays."""
