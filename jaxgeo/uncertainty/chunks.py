@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._compile import batch_filter_jit, quick_filter_jit
+from jaxgeo._compile import batch_filter_jit, long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Flags, Index, Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
@@ -34,7 +34,8 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-CAPACITY = 6 * BLOCK  # samples of one call on one device, at most
+FEW, MANY = 6 * BLOCK, 96 * BLOCK  # samples of one call on one device, at most
+LONG_RUN = 4 * FEW  # samples per device from which programs are compiled for speed
 
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
 _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for i in range(4)])
@@ -68,10 +69,19 @@ class Plan(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Size of the programs: samples of one call on one device, and the devices."""
+    """Size of the programs: samples of one call on one device, the devices, and whether they run for long."""
 
     capacity: int
     devices: tuple[Any, ...]
+    is_long_run: bool
+
+    @classmethod
+    def of(cls, count: int, chunk: int, unit: int, devices: tuple[Any, ...]) -> Size:
+        """The size for chunks of at most `chunk` of `count` samples, and at least `unit`; one for many counts."""
+        is_long_run = count > LONG_RUN * len(devices)
+        blocks = lambda samples: -(-samples // (len(devices) * BLOCK))  # noqa: E731
+        most = (MANY if is_long_run else FEW) // BLOCK
+        return cls(BLOCK * max(min(blocks(chunk), most), blocks(unit), 1), devices, is_long_run)
 
 
 class Part(NamedTuple):
@@ -149,9 +159,17 @@ def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes
     return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
 
 
-@batch_filter_jit
 def draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
     """Perturbed lines of sight of a part, of which the first `part.share` on each device count."""
+    return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, size)
+
+
+def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
+    """The chunk of a part from its perturbed lines of sight. Devices do not wait for each other's sums."""
+    return (_draw_chunk_long if size.is_long_run else _draw_chunk_short)(plan, lines, part, centre, size, keep)
+
+
+def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
 
     def drawn(device: Int[Array, "1"], plan: LinePlan, part: Part) -> PerturbedLines:
         return _by_blocks(_lines_of_block, part.share, size.capacity, device[0], plan, part)[0]
@@ -160,15 +178,17 @@ def draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
 
 
 @batch_filter_jit
-def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
-    """The chunk of a part from its perturbed lines of sight. Devices do not wait for each other's sums."""
-
+def _draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
     def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
         args = device[0], lines, plan, part, centre, keep
         (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, size.capacity, *args)
         return Drawn(moments[None, :, :], radii, statuses, errors)
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)), lines), plan, part, centre)
+
+
+_draw_lines_short, _draw_lines_long = batch_filter_jit(_draw_lines), long_run_filter_jit(_draw_lines)
+_draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_filter_jit(_draw_chunk)
 
 
 @eqx.filter_jit
@@ -254,12 +274,6 @@ def one_ahead(
         waiting = first, count, drawn
     if waiting is not None:
         yield waiting
-
-
-def capacity_of(chunk: int, devices: int, unit: int) -> int:
-    """Samples per call and device for chunks of at most `chunk` samples and at least `unit`: one or several blocks."""
-    blocks = lambda samples: -(-samples // (devices * BLOCK))  # noqa: E731
-    return BLOCK * max(min(blocks(chunk), CAPACITY // BLOCK), blocks(unit), 1)
 
 
 def chunks(count: int, chunk: int, unit: int, progress: bool) -> Iterator[tuple[int, int]]:

@@ -19,7 +19,7 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, capacity_of, chunks, make_plan, one_ahead
+from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, chunks, make_plan, one_ahead
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.host_arrays import with_bar
 from jaxgeo.uncertainty.intervals import (
@@ -169,7 +169,7 @@ def draw_errors(
     """`sample` of checked inputs, model and options, about a nominal fix."""
     draws: Any = sampling.draws
     devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
-    size = Size(capacity_of(sampling.chunk, len(devices), sampling.scrambles), devices)
+    size = Size.of(sampling.count, sampling.chunk, sampling.scrambles, devices)
     plan = make_plan(inputs, nominal, model, draws, search, sampling.random_key, size)
     centre = np.zeros(3)
     if about_mean:

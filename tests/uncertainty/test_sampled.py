@@ -30,7 +30,7 @@ def shot(elevation_deg: float, height: float = 3000.0) -> Shot:
     return Shot(Pose.from_degrees(lat=45.0, lon=7.0, height=height, heading=30.0, pitch=elevation_deg))
 
 
-SIZE = Size(BLOCK, tuple(jax.devices()[:1]))
+SIZE = Size.of(1000, BLOCK, 1, tuple(jax.devices()[:1]))
 SCENE = (SENSOR, shot(-30.0), (400.0, 300.0), GROUND, MODEL)
 
 
