@@ -11,9 +11,13 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.custom_batching import custom_vmap
 
 from jaxgeo._checks import is_known
 
+ROWS = 1024  # items of a block under a `vmap` that is called directly
+MOST_ROWS = 16 * ROWS  # more items are a program of their own, which is quicker to run
 T = TypeVar("T", bound=Callable[..., Any])
 
 
@@ -51,10 +55,19 @@ def _supported(options: dict[str, Any]) -> dict[str, Any]:
 def quick_jit(function: T) -> T:
     """`jax.jit`, for functions of one item: called directly they compile quickly, for a third more run time.
 
-    Inside `jit`, `vmap` and derivatives they are part of the caller's program. The two programs differ in rounding
-    (about 1e-8 m in a fix).
+    So they do under a `vmap` that is called directly, for up to `MOST_ROWS` items: in blocks of one size, so that one
+    program serves every number of items. Inside `jit` and derivatives they are part of the caller's program. The
+    programs differ in rounding (about 1e-8 m in a fix).
     """
-    return _quick(function, jax.jit)
+    alone = _quick(function, jax.jit)
+    batches = Batches(function)
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        batch = batches.of((args, options))
+        return alone(*args, **options) if batch is None else batch()
+
+    return call  # pyright: ignore
 
 
 def quick_filter_jit(function: T) -> T:
@@ -87,6 +100,77 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
             return quick()(*args, **options)
 
     return call  # pyright: ignore
+
+
+class Batches:
+    """Calls of a function under a `vmap` that is not part of a larger program, on CPUs."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._programs: dict[Any, Any] = {}
+
+    def of(self, inputs: tuple[tuple[Any, ...], dict[str, Any]]) -> Callable[[], Any] | None:
+        """The call for inputs (arguments and options) that a `vmap` called directly traces, else None."""
+        leaves, structure = jax.tree.flatten(inputs)
+        traced = [leaf for leaf in leaves if isinstance(leaf, jax.core.Tracer)]
+        if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or not batch_options():
+            return None
+        axes = tuple(leaf.batch_dim if isinstance(leaf, jax.core.Tracer) else None for leaf in leaves)
+        values = [leaf.val if isinstance(leaf, jax.core.Tracer) else leaf for leaf in leaves]
+        count = traced[0].val.shape[traced[0].batch_dim]
+        if not 0 < count <= MOST_ROWS:
+            return None
+        return lambda: _delivered(self._found(structure, axes, values, count), traced[0])
+
+    def _found(self, structure: Any, axes: tuple[int | None, ...], values: list[Any], count: int) -> Any:
+        """The results as NumPy arrays, block by block."""
+        blocks = -(-count // ROWS)
+        rows = np.minimum(np.arange(blocks * ROWS), count - 1).reshape(blocks, ROWS)
+        mapped = {k: np.moveaxis(np.asarray(values[k]), axis, 0) for k, axis in enumerate(axes) if axis is not None}
+        blocks = [[mapped[k][row] if k in mapped else x for k, x in enumerate(values)] for row in rows]
+        with RARE_COLLECTION:
+            program = self._program(structure, tuple(axis is not None for axis in axes), blocks[0])
+            parts = [program(block) for block in blocks]
+        return jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[:count], *parts)
+
+    def _program(self, structure: Any, is_mapped: tuple[bool, ...], block: list[Any]) -> Any:
+        """The compiled program, which a `jit` would compile again under each `vmap` of another size."""
+        key = structure, is_mapped, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in block)
+        if key not in self._programs:
+
+            def of_leaves(leaves: list[Any]) -> Any:
+                args, options = jax.tree.unflatten(structure, leaves)
+                return self._function(*args, **options)
+
+            mapped = jax.vmap(of_leaves, in_axes=([0 if one else None for one in is_mapped],))
+            self._programs[key] = jax.jit(mapped).lower(block).compile(compiler_options=batch_options())
+        return self._programs[key]
+
+
+def _is_mapped_once(leaf: Any, other: Any) -> bool:
+    """Whether a traced array is one that the `vmap` of `other` maps directly, on the default device."""
+    value, axis = getattr(leaf, "val", None), getattr(leaf, "batch_dim", None)
+    if not isinstance(axis, int) or getattr(leaf, "_trace", leaf) is not getattr(other, "_trace", other):
+        return False
+    if isinstance(value, np.ndarray):
+        return True
+    if not isinstance(value, jax.Array) or isinstance(value, jax.core.Tracer):
+        return False
+    return value.is_fully_addressable and value.devices() == {jax.devices()[0]}
+
+
+def _delivered(found: Any, traced: Any) -> Any:
+    """Results (leading axis) as those of the `vmap` that traces `traced`."""
+
+    @custom_vmap
+    def of_one(_: Any) -> Any:
+        return jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), found)
+
+    @of_one.def_vmap
+    def _(axis_size: int, in_batched: Any, _: Any) -> Any:
+        return jax.tree.map(jnp.asarray, found), jax.tree.map(lambda _: True, found)
+
+    return of_one(traced)
 
 
 class _RareCollection:

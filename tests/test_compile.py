@@ -97,3 +97,74 @@ def test_programs_beyond_the_limit_go_those_unused_for_longest_first(tmp_path: p
 def test_a_limit_that_holds_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="largest must be a number of bytes, 1 or more; got 0"):
         jaxgeo.keep_programs(largest=0)
+
+
+def _scene() -> tuple[Any, ...]:
+    camera = jaxgeo.FrameCamera.from_pixels(focal_px=700.0, width=800, height=600)
+    sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    return sensor, jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+
+
+PIXELS = np.random.default_rng(3).uniform([0.0, 0.0], [799.0, 599.0], (2500, 2))
+GROUND = jaxgeo.ConstantHeight(600.0)
+BY_PIXEL = (None, None, 0, None)
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Programs compiled ahead of their call, as those of a `vmap` called directly are."""
+    programs: list[Any] = []
+    compile_ = jax.stages.Lowered.compile
+
+    def spy(self: Any, *args: Any, **options: Any) -> Any:
+        programs.append(self)
+        return compile_(self, *args, **options)
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", spy)
+    return programs
+
+
+@pytest.mark.parametrize("count", [1, 7, 1024, 2500])
+def test_a_vmap_called_directly_is_one_program_for_all_counts(count: int, compiled: list[Any]) -> None:
+    ground = jaxgeo.ConstantHeight(jnp.asarray(600.0))
+    of_pixels = lambda count: jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(*_scene(), PIXELS[:count], ground)  # noqa: E731
+    of_pixels(5)
+    before = len(compiled)
+    found = of_pixels(count)
+    assert len(compiled) == before, "compiled again"
+    alone = jax.jit(jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL))(*_scene(), PIXELS[:count], GROUND)
+    assert found.slant_range.shape == (count,)
+    assert found.status.dtype == alone.status.dtype
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7)
+
+
+def test_another_mapped_argument_is_another_program(compiled: list[Any]) -> None:
+    heights = jaxgeo.ConstantHeight(jnp.full(3, 600.0))
+    jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, 0))(*_scene(), PIXELS[:3], heights)
+    assert compiled, "the test above would see no program at all"
+
+
+def test_a_vmap_of_a_vmap_and_derivatives_within_one_are_of_the_usual_program() -> None:
+    grid = PIXELS[:6].reshape(2, 3, 2)
+    flat = jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(*_scene(), PIXELS[:6], GROUND)
+    twice = jax.vmap(jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL), in_axes=BY_PIXEL)(*_scene(), grid, GROUND)
+    np.testing.assert_allclose(twice.ecef.reshape(6, 3), flat.ecef, atol=1e-7)
+    slant = lambda uv: jaxgeo.locate(*_scene(), uv, GROUND).slant_range  # noqa: E731
+    slopes = jax.vmap(jax.grad(slant))(PIXELS[:2])
+    np.testing.assert_allclose(slopes[1], jax.grad(slant)(jnp.asarray(PIXELS[1])), rtol=1e-9)
+    total = jax.grad(lambda uv: jnp.sum(jax.vmap(slant)(uv)))(jnp.asarray(PIXELS[:2]))
+    np.testing.assert_allclose(total, slopes, rtol=1e-9)
+
+
+def test_rows_of_any_argument_are_mapped_and_a_missing_fix_is_told() -> None:
+    sensor, shot = _scene()
+    heights = jnp.linspace(500.0, 900.0, 5)
+    found = jax.vmap(lambda height: jaxgeo.locate(sensor, shot, (400.0, 300.0), jaxgeo.ConstantHeight(height)))(heights)
+    alone = [jaxgeo.locate(sensor, shot, (400.0, 300.0), jaxgeo.ConstantHeight(float(height))) for height in heights]
+    np.testing.assert_array_equal(found.status, [one.status for one in alone])
+    np.testing.assert_allclose(found.slant_range, [one.slant_range for one in alone], rtol=1e-9)
+    across = jax.vmap(jaxgeo.locate, in_axes=(None, None, 1, None))(sensor, shot, PIXELS[:4].T, GROUND)
+    along = jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(sensor, shot, PIXELS[:4], GROUND)
+    np.testing.assert_array_equal(across.ecef, along.ecef)
