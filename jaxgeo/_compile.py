@@ -80,8 +80,13 @@ def batch_filter_jit(function: T) -> T:
     return _quick(function, eqx.filter_jit, batch_options)
 
 
+def long_run_jit(function: T) -> T:
+    """`jax.jit` for batches that run longer than they compile, without passes that help none."""
+    return _quick(function, jax.jit, long_run_options)
+
+
 def long_run_filter_jit(function: T) -> T:
-    """`equinox.filter_jit` for batches that run longer than they compile, without passes that help none."""
+    """`long_run_jit` for arguments that are not all arrays, as `equinox.filter_jit`."""
     return _quick(function, eqx.filter_jit, long_run_options)
 
 

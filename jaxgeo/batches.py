@@ -12,6 +12,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxgeo._compile import long_run_filter_jit
+
 SIZE = 16_384
 
 
@@ -45,7 +47,7 @@ def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int 
     return whole
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def _batch(function: Callable[..., Any], many: Any, common: tuple[Any, ...]) -> Any:
     return jax.vmap(lambda item: function(item, *common))(many)
 

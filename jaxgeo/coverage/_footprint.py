@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_array, check_finite
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import FIRST_HIT, located_anywhere
 from jaxgeo._numerics import dot, safe_angle, safe_norm
 from jaxgeo._record import Record
@@ -260,7 +261,7 @@ def _located(looked: Looked, uv: np.ndarray) -> tuple[Fix, np.ndarray]:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def _seen_and_mapped(looked: Looked, uv: Float[Array, "places 2"]) -> tuple[Fix, Float[Array, "places 2"]]:
     fix = seen_at(looked.sensor, looked.image, uv, looked.terrain, looked.air)
     return fix, jax.vmap(lambda p: on_map(looked.projection, p))(fix.ecef)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int8
 
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import check_is
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import FIRST_HIT, project
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
@@ -109,7 +110,7 @@ def visible_ground(
     return VisibleGround(places, np.concatenate(codes)[: len(places)], float(spacing))
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def _seen_from(
     sensor: Sensor,
     image: Image,

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._compile import long_run_jit
 from jaxgeo._locate import locate, project
 from jaxgeo._numerics import safe_angle, safe_norm
 from jaxgeo._record import Record
@@ -111,18 +112,10 @@ def make_demo() -> Demo:
 
 
 def located(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Fix:
-    """Fixes of pixels (n, 2), in chunks of one size to compile only once."""
-    chunks = []
-    for start in range(0, len(uv), CHUNK):
-        chunk = uv[start : start + CHUNK]
-        fix = _locate_chunk(sensor, shot, np.resize(chunk, (CHUNK, 2)), dem)
-        chunks.append(jax.tree.map(lambda leaf, n=len(chunk): np.asarray(leaf)[:n], fix))
+    """Fixes of pixels (n, 2), some at a time."""
+    of_some = jax.vmap(locate, in_axes=(None, None, 0, None))
+    chunks = [of_some(sensor, shot, uv[start : start + CHUNK], dem) for start in range(0, len(uv), CHUNK)]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *chunks)
-
-
-@jax.jit
-def _locate_chunk(sensor: Sensor, shot: Shot, uv: jax.Array, dem: Dem) -> Fix:
-    return jax.vmap(locate, in_axes=(None, None, 0, None))(sensor, shot, uv, dem)
 
 
 def _hidden(
@@ -142,7 +135,7 @@ def _posts_in_image(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, n
     return posts[ok], uv[ok], distance[ok]
 
 
-@jax.jit
+@long_run_jit
 def _projected(sensor: Sensor, shot: Shot, dem: Dem, posts: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     def project_one(rowcol: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         post = _post(dem, *rowcol)
@@ -167,7 +160,7 @@ def _section_under_axis(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarra
     return distance, sight, ground, off_nadir < highest - 1e-6
 
 
-@jax.jit
+@long_run_jit
 def _section(sensor: Sensor, shot: Shot, dem: Dem, ranges: jax.Array) -> tuple[jax.Array, ...]:
     origin, direction, _ = sensor.ray_ecef(shot, _middle(sensor.camera))
     down = -WGS84.normal_and_height(origin)[0]

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxgeo._compile import long_run_jit
 from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
@@ -112,7 +113,7 @@ def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain) -> Iterato
         yield jax.tree.map(lambda leaf, last=total - start: np.asarray(leaf)[:last], fixes)
 
 
-@jax.jit
+@long_run_jit
 def _located(observation: Observation, terrain: AbstractTerrain) -> Fix:
     return locate(observation, terrain)
 

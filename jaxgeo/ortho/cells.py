@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int8
 
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import sight_along, visibility
 from jaxgeo._numerics import dot, safe_sqrt
 from jaxgeo._record import Record
@@ -67,7 +68,7 @@ def where_any(some: Flag, stage: Callable[..., Any], *given: Array) -> Any:
     return jax.lax.cond(some, stage, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *given)
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, int]) -> Cells:
     """Cells of a tile by exact projection of each: for moving sensors, and where the polynomials are not accurate
     enough."""
@@ -97,7 +98,7 @@ def may_be_hidden(cells: Cells, least_sine: Float32[Array, "rows cols"]) -> Bool
     return (cells.status == Status.hit) & ~(cells.sine > least)
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def hidden(view: View, rowcol: Float[Array, "n 2"], tolerance: Scalar) -> Int8[Array, " n"]:
     """Status of cells on known ground at (row, col) of the grid, by first-hit search along the line of sight: `hit`,
     `hidden_by_terrain`, or why it is unknown."""

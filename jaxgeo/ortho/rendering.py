@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import FIRST_HIT, located_anywhere
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.observation import Exposure, accepts_exposure
@@ -117,7 +117,7 @@ def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
     return [jnp.asarray(padded[k : k + CHUNK]) for k in range(0, len(padded), CHUNK)]
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def _met(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
     """One shared program for all uses, since the terrain search takes long to compile."""
     nowhere = jnp.array([WGS84.a, 0.0, 0.0])
@@ -133,7 +133,7 @@ def _met(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
     return Met(*jax.vmap(one)(uv))
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def _sampled_on(
     grid: AbstractGrid, pixels: Pixels, found: Met, how: AbstractInterpolation
 ) -> tuple[Float[Array, "bands n"], Bool[Array, " n"]]:

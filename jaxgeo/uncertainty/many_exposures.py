@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, is_known
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._typing import Numbers, Scalar
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
@@ -126,7 +126,7 @@ def _inputs_of(given: tuple[Any, ...]) -> tuple[ModelInputs, ErrorModel]:
     return ModelInputs.of_checked(sensor, shot, time, uv, terrain, air), model
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def _assess_block(
     lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
 ) -> Assessed:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import project
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Flag, Scalar, StatusCode
@@ -78,7 +79,7 @@ def check_block(block: Any) -> int:
     return int(block)
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def project_cells(lat: Float[Array, " cells"], lon: Float[Array, " cells"], context: MapContext) -> Cell:
     """Cells at ground points, with the pixels that view them if nothing occludes them."""
     return jax.vmap(_project_cell, in_axes=(0, 0, None))(lat, lon, context)
@@ -90,7 +91,7 @@ def cells_of_pixels(uv: Float[Array, "cells 2"], sensor: Sensor) -> Cell:
     return Cell(uv, jax.vmap(sensor.camera.ray)(uv)[1])
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def locate_cells(
     cells: Cell, context: MapContext, search: AbstractSearch
 ) -> tuple[NominalFix, Int8[Array, " cells"], Bool[Array, " cells"]]:
@@ -109,7 +110,7 @@ def locate_cells(
     return jax.vmap(one)(cells)
 
 
-@eqx.filter_jit
+@long_run_filter_jit
 def assess_cells(cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel) -> LinearAccuracy:
     """Accuracy of cells by linear propagation."""
     return jax.vmap(lambda cell, nominal: assess_fix(context.inputs(cell), nominal, model))(cells, nominals)
