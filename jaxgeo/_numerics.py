@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._typing import Flag, Scalar
+from jaxgeo._typing import Flag, Numbers, Scalar, ScalarField
 
 T = TypeVar("T")
 
@@ -132,3 +132,24 @@ def tree_where(condition: Flag, if_true: T, if_false: T) -> T:
 
 def _is_float(leaf: object) -> bool:
     return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore
+
+
+# JAX differentiates `maximum`, `minimum` and `clip` by testing which argument equals the result. XLA may compute an
+# argument twice, once with a fused multiply-add: then neither does, and the derivative is wrong. These compare instead.
+
+
+def larger(a: ScalarField, b: ScalarField) -> Numbers:
+    """The larger of two numbers or arrays, NaN if either is; differentiable."""
+    a, b = jnp.asarray(a), jnp.asarray(b)
+    return jnp.where((a > b) | (a != a), a, b)
+
+
+def smaller(a: ScalarField, b: ScalarField) -> Numbers:
+    """The smaller of two numbers or arrays, NaN if either is; differentiable."""
+    a, b = jnp.asarray(a), jnp.asarray(b)
+    return jnp.where((a < b) | (a != a), a, b)
+
+
+def within(x: ScalarField, low: ScalarField, high: ScalarField) -> Numbers:
+    """Numbers limited to an interval; differentiable."""
+    return smaller(larger(x, low), high)

@@ -11,11 +11,14 @@ from jaxgeo._numerics import (
     all_finite,
     finite_or,
     implicit_root,
+    larger,
     newton_or_half,
     safe_angle,
     safe_norm,
     safe_sqrt,
+    smaller,
     tree_where,
+    within,
 )
 
 
@@ -102,3 +105,15 @@ def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, hi
 )
 def test_a_step_out_of_the_bracket_is_replaced_by_halving(value, slope, expected):
     assert float(newton_or_half(*(jnp.asarray(x) for x in (1.0, 9.0, 3.0, value, slope)), slack=1e-9)[2]) == expected
+
+
+@pytest.mark.parametrize(
+    "ours, theirs", [(larger, jnp.maximum), (smaller, jnp.minimum), (lambda x, y: within(x, y, 1.0), jnp.clip)]
+)
+def test_limits_are_those_of_numpy_and_keep_what_is_unknown(ours, theirs):
+    x, y = jnp.array([-2.0, 0.5, np.nan, 0.3, 2.0]), jnp.array([0.0, 0.0, 0.0, np.nan, 0.0])
+    expected = theirs(x, y, 1.0) if theirs is jnp.clip else theirs(x, y)
+    np.testing.assert_array_equal(ours(x, y), expected)
+    apart = lambda x: (ours(x + 1e-6, 0.0) - ours(x - 1e-6, 0.0)) / 2e-6  # noqa: E731
+    for one in (-2.0, 0.5, 2.0):
+        assert float(jax.grad(ours)(one, 0.0)) == pytest.approx(float(apart(one)), abs=1e-9)

@@ -15,7 +15,7 @@ from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_array, check_finite
 from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import FIRST_HIT, located_anywhere
-from jaxgeo._numerics import dot, safe_angle, safe_norm
+from jaxgeo._numerics import dot, larger, safe_angle, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, PixelField, Scalar, ScalarField, StatusField, Vector3
 from jaxgeo.coverage.exposure import Image, checked_image, image_size, local_projection, motion_of, on_map, seen_at
@@ -189,7 +189,7 @@ def _ground_sampling(
     is_plumb = dot(level, level) <= PLUMB**2 * dot(away, away)
     level = jnp.where(is_plumb, -by_row, level)  # straight down, forward is the top of the image
     along = level - up * dot(level, surface) / jnp.where(dot(up, surface) == 0.0, 1.0, dot(up, surface))
-    along = along / jnp.maximum(safe_norm(along), 1e-300)
+    along = along / larger(safe_norm(along), 1e-300)
     across = jnp.cross(surface, along)
     known = counts_as_fix(fix.status)
     lengths = [safe_norm(by_column), safe_norm(by_row), *(_length_of_a_pixel(J, d) for d in (along, across)), area]
@@ -204,7 +204,7 @@ def _length_of_a_pixel(J: Float[Array, "3 2"], direction: Vector3) -> Scalar:
     det = a * d - b * b
     det = jnp.where(det > 0.0, det, 1.0)
     moved = jnp.stack([d * v[0] - b * v[1], a * v[1] - b * v[0]]) / det
-    return 1.0 / jnp.maximum(safe_norm(moved), 1e-300)
+    return 1.0 / larger(safe_norm(moved), 1e-300)
 
 
 class Looked(NamedTuple):

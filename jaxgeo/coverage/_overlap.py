@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import as_float64, concrete
 from jaxgeo._locate import FIRST_HIT
-from jaxgeo._numerics import dot, safe_norm
+from jaxgeo._numerics import dot, larger, safe_norm, smaller
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field
 from jaxgeo.coverage.exposure import (
@@ -231,7 +231,7 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     along = (lead - next_trail) / length
     own_across = own_near + (own_far - own_near) * jnp.linspace(0.0, 1.0, stations)
     own = jnp.interp(own_across, *lines[0]) - jnp.interp(own_across, *lines[1])
-    both = jnp.clip(jnp.minimum(lead, next_lead) - jnp.maximum(trail, next_trail), 0.0, None)
+    both = larger(smaller(lead, next_lead) - larger(trail, next_trail), 0.0)
     own_extent = jnp.where(own_far > own_near, own_far - own_near, 1.0)
     whole = own_extent * jnp.where(_mean(own) > 0.0, _mean(own), 1.0)
     area = jnp.where(meets, side_by_side * _mean(both) / whole, 0.0)
@@ -273,7 +273,7 @@ def _line(edge: PlanePoints, direction: PlanePoint, side: PlanePoint) -> tuple[A
 def _reach(lines: list[tuple[Array, Array]]) -> tuple[Scalar, Scalar]:
     """The range across the flight that both edges of an image cover."""
     (one, _), (other, _) = lines
-    return jnp.maximum(one[0], other[0]), jnp.minimum(one[-1], other[-1])
+    return larger(one[0], other[0]), smaller(one[-1], other[-1])
 
 
 def _mean(values: Float[Array, " stations"]) -> Scalar:

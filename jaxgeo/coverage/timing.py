@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._locate import FIRST_HIT
-from jaxgeo._numerics import matvec, safe_norm
+from jaxgeo._numerics import larger, matvec, safe_norm, smaller
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
@@ -73,13 +73,13 @@ class Course(Record):
     def first(self) -> Scalar:
         """Time of the first complete image, s: rows may be exposed before the time of the image."""
         exposure = self.sensor.camera.exposure()
-        return self.trajectory.start - (0.0 if exposure is None else jnp.minimum(exposure[0], 0.0))
+        return self.trajectory.start - (0.0 if exposure is None else smaller(exposure[0], 0.0))
 
     @property
     def last(self) -> Scalar:
         """Time of the last complete image, s."""
         exposure = self.sensor.camera.exposure()
-        return self.trajectory.end - (0.0 if exposure is None else jnp.maximum(exposure[1], 0.0))
+        return self.trajectory.end - (0.0 if exposure is None else larger(exposure[1], 0.0))
 
     def over(self, terrain: AbstractTerrain) -> Course:
         """The same course over other ground."""

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_finite, check_range
+from jaxgeo._numerics import larger, smaller, within
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, ScalarLike
 
@@ -102,14 +103,14 @@ def _temperature_and_log_pressure(
     z: Heights, offset: ScalarField, layers: int = len(LAYERS)
 ) -> tuple[Heights, Heights]:
     """Temperature in K, and log(pressure / sea-level pressure), at a geopotential height in m."""
-    z = jnp.minimum(z, TOP)
+    z = smaller(z, TOP)
     temperature = jnp.asarray(SEA_LEVEL_TEMPERATURE + offset)
     log_pressure = jnp.zeros_like(z)
     ends = [base for base, _ in LAYERS[1:layers]] + [TOP]
     for number, ((base, lapse), end) in enumerate(zip(LAYERS[:layers], ends, strict=True)):
-        within = jnp.minimum(z, end) - base if number == 0 else jnp.clip(z - base, 0.0, end - base)
-        above = jnp.maximum(temperature + lapse * within, COLDEST)
-        fall = jnp.log(above / temperature) / lapse if lapse else within / temperature
+        depth = smaller(z, end) - base if number == 0 else within(z - base, 0.0, end - base)
+        above = larger(temperature + lapse * depth, COLDEST)
+        fall = jnp.log(above / temperature) / lapse if lapse else depth / temperature
         log_pressure = log_pressure - G0 / R_AIR * fall
         temperature = above
     return temperature, log_pressure

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import as_float64
-from jaxgeo._numerics import dot, implicit_root, safe_norm, safe_sqrt
+from jaxgeo._numerics import dot, implicit_root, larger, safe_norm, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
 from jaxgeo.earth.geodetic import Geodetic
@@ -192,7 +192,7 @@ def _crossing(
         slope = side * dot(normal, direction)
         step = jnp.where(slope > 0.0, (h - height) / jnp.where(slope > 0.0, slope, 1.0), 0.0)
         excess = jnp.where(slope > 0.0, jnp.abs(h - height), 0.0)
-        return jnp.maximum(offset - step, 0.0), excess, count + 1
+        return larger(offset - step, 0.0), excess, count + 1
 
     def unfinished(state: tuple[Scalar, Scalar, Index]) -> Flag:
         _, excess, count = state

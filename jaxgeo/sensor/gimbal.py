@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, check_finite
-from jaxgeo._numerics import matmul3
+from jaxgeo._numerics import matmul3, within
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Vector3
 from jaxgeo.rotations import Rx, Ry, Rz, about_x, about_y, about_z
@@ -167,7 +167,7 @@ class Gimbal(Record):
     def neutral_readings(self) -> Readings:
         """Readings with zero axis angles, clipped to the limits."""
         offset, limits = as_float64((self.offset, self.limits), "gimbal")
-        return jnp.clip(offset, limits[:, 0], limits[:, 1])
+        return within(offset, limits[:, 0], limits[:, 1])
 
     def R_base_from_head(self, readings: ReadingsLike) -> Matrix3:
         """Orientation of the head in the axes of the base."""

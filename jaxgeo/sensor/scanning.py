@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_finite, concrete
-from jaxgeo._numerics import matvec, value_and_slope
+from jaxgeo._numerics import larger, matvec, smaller, value_and_slope
 from jaxgeo._typing import Flag, Pixel, Scalar, ScalarField, ScalarLike, StatusCode, Vector3
 from jaxgeo.rotations import Rx
 from jaxgeo.sensor.camera import (
@@ -56,7 +56,7 @@ class AbstractScanningCamera(AbstractCamera):
     def exposure(self) -> tuple[Scalar, Scalar]:
         line_time = as_float64(self.line_time, "line_time")
         edges = -0.5 * line_time, (self.height - 0.5) * line_time
-        return jnp.minimum(*edges), jnp.maximum(*edges)
+        return smaller(*edges), larger(*edges)
 
     def inside(self, uv: PixelLike) -> Flag:
         """Whether a pixel position is on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""

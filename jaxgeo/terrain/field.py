@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Num
 
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._numerics import dot
+from jaxgeo._numerics import dot, within
 from jaxgeo._record import Record
 from jaxgeo._typing import Index, PixelField, Scalar, ScalarField
 
@@ -76,7 +76,7 @@ class LineField(AbstractField):
         squared = dot(self.step, self.step)
         squared = jnp.where(squared > 0.0, squared, 1.0)
         along = dot((row - self.first[0], col - self.first[1]), self.step) / squared
-        along = jnp.clip(along, 0.0, count - 1.0)
+        along = within(along, 0.0, count - 1.0)
         node = jnp.clip(along.astype(jnp.int32), 0, max(count - 2, 0))
         near = values.at[node].get(mode="promise_in_bounds")
         far = values.at[jnp.minimum(node + 1, count - 1)].get(mode="promise_in_bounds")

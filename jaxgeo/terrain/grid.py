@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
 from jaxgeo._elementary import arctangent
-from jaxgeo._numerics import safe_sqrt, times
+from jaxgeo._numerics import larger, safe_sqrt, times, within
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
@@ -218,7 +218,7 @@ class FittedGrid(AbstractGrid):
 
 def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> Float[Array, "2"]:
     """Two polynomials in T_i(x) T_j(y), extrapolated linearly beyond twice the fitted area [-1, 1]^2."""
-    near = jnp.clip(xy, -_EDGE, _EDGE)
+    near = within(xy, -_EDGE, _EDGE)
     x, y = (_chebyshev(t, coefficients.shape[0]) for t in near)
     linear = jnp.stack([coefficients[1, 0], coefficients[0, 1]], axis=1)
     return jnp.einsum("i,j,ijk->k", x, y, coefficients) + jnp.stack(times(linear, xy - near))
@@ -239,7 +239,7 @@ def _chebyshev(x: Float[Array, ""], count: int) -> Float[Array, " n"]:
 
 def _plane(R_enu_from_ecef: Num[Array, "3 3"], x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
     east, north, up = times(R_enu_from_ecef, (x, y, z))
-    nearer = 1.0 / jnp.maximum(up, _HORIZON)
+    nearer = 1.0 / larger(up, _HORIZON)
     return east * nearer, north * nearer
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._numerics import smaller
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
@@ -94,7 +95,7 @@ class Footprint(AbstractSlope):
 
 def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
     """Product of a plane normal and the ray direction, bounded away from zero: the ray descends onto the plane."""
-    return jnp.minimum(normal @ direction_enu, -STEEPEST * jnp.sqrt(normal @ normal))
+    return smaller(normal @ direction_enu, -STEEPEST * jnp.sqrt(normal @ normal))
 
 
 def fit_plane(terrain: AbstractTerrain, nominal: NominalFix, cov: Float[Array, "2 2"]) -> Surface:

@@ -21,6 +21,7 @@ from support.call_graph import Function, Module, Package, body_of, last_name
 
 # Last names of decorators and callees that make their function traced code.
 TRACING = {"jit", "filter_jit", "custom_jvp", "custom_vjp", "custom_vmap", "defjvp", "defvjp", "def_vmap"}
+TRACING |= {"quick_jit", "quick_filter_jit", "batch_filter_jit", "long_run_jit", "long_run_filter_jit"}
 ALLOWED = {"ndarray", "dtype", "iinfo", "finfo", "newaxis", "s_", "shape", "ndim"}  # besides dtypes and numbers
 STATIC_ATTRIBUTES = {"shape", "ndim", "dtype", "size"}
 STATIC_RESULTS = {"concrete", "len", "isinstance", "hasattr", "shape", "ndim"}

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64
-from jaxgeo._numerics import safe_norm
+from jaxgeo._numerics import larger, safe_norm
 from jaxgeo._typing import Flag, Scalar, ScalarField, StatusCode
 from jaxgeo.sensor._newton import PlanePoint, determinant, solve_2d
 from jaxgeo.sensor.distortion._implicit import inverse_at
@@ -132,8 +132,8 @@ def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag
 
     def newton_step(ideal: PlanePoint) -> PlanePoint:
         step = -solve_2d(lens.jacobian(ideal), lens.distort(ideal) - target)
-        longest = LONGEST_STEP * jnp.maximum(1.0, safe_norm(ideal))
-        return step * (longest / jnp.maximum(safe_norm(step), longest))
+        longest = LONGEST_STEP * larger(1.0, safe_norm(ideal))
+        return step * (longest / larger(safe_norm(step), longest))
 
     def body(state):
         ideal, residual, step, damping, count = state

@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.special import erfc
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import safe_sqrt
+from jaxgeo._numerics import larger, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers, Scalar
 
@@ -121,7 +121,7 @@ def _chords(
     """
     low, to_low = _end(radius + mean, sigma)
     high, to_high = _end(radius - mean, sigma)
-    width = jnp.maximum(high + low, 0.0)
+    width = larger(high + low, 0.0)
     below_high, above_low = width * np.sin(angle / 2.0) ** 2, width * np.cos(angle / 2.0) ** 2
     u = high - below_high
     chord = safe_sqrt((to_high + sigma * below_high) * (to_low + sigma * above_low))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtri
 
-from jaxgeo._numerics import dot, safe_norm, safe_sqrt, value_and_slope
+from jaxgeo._numerics import dot, larger, safe_norm, safe_sqrt, value_and_slope, within
 from jaxgeo._typing import Flag, Numbers, Scalar
 from jaxgeo.uncertainty.metrics._ball import Frame, bends_of, eigen, frame_of, in_ball, slopes_of, spread
 
@@ -32,9 +32,9 @@ def chance_within(cov: Numbers, radius: Scalar, mean: Numbers) -> Scalar:
     """Probability that N(mean, cov) lies within a radius (inclusive) of the origin."""
     size, is_point, shape, place = _unit(cov, mean)
     frame = frame_of(shape, place)
-    inside = spread(in_ball, frame, shape, jnp.concatenate([jnp.maximum(radius, 0.0)[None] / size, place]))
+    inside = spread(in_ball, frame, shape, jnp.concatenate([larger(radius, 0.0)[None] / size, place]))
     point = jnp.where(safe_norm(mean) <= radius, 1.0, 0.0)
-    return jnp.where(is_covariance(cov), jnp.where(is_point, point, jnp.clip(inside, 0.0, 1.0)), jnp.nan)
+    return jnp.where(is_covariance(cov), jnp.where(is_point, point, within(inside, 0.0, 1.0)), jnp.nan)
 
 
 def is_covariance(cov: Numbers) -> Flag:
@@ -96,7 +96,7 @@ def _(primals, tangents):
 
 def _log_odds(p: Scalar) -> Scalar:
     tiny = 1e-300
-    return jnp.log(jnp.maximum(p, tiny)) - jnp.log(jnp.maximum(1.0 - p, 1e-17))
+    return jnp.log(larger(p, tiny)) - jnp.log(larger(1.0 - p, 1e-17))
 
 
 def _bounds(mean: Numbers, probability: Scalar) -> tuple[Scalar, Scalar]:
@@ -115,5 +115,5 @@ def _guess(cov: Numbers, mean: Numbers, probability: Scalar) -> Scalar:
     first = 1.0 + jnp.sum(mean**2)
     second = 2.0 * jnp.sum(cov**2) + 4.0 * mean @ cov @ mean
     share = second / (9.0 * first**2)
-    root = jnp.maximum(1.0 - share + ndtri(probability) * jnp.sqrt(share), 1e-3)
+    root = larger(1.0 - share + ndtri(probability) * jnp.sqrt(share), 1e-3)
     return jnp.sqrt(first * root**3)

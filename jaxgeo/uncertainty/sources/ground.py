@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_finite, concrete
+from jaxgeo._numerics import smaller
 from jaxgeo._typing import Scalar
 from jaxgeo.terrain import ConstantField, Dem, LineField
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
@@ -166,7 +167,7 @@ class TerrainField(AbstractSource):
         for number in range(split):
             total = total + sigma[number] ** 2 * jnp.exp(-((distance / self.gaussian_lengths[number]) ** 2))
         for number in range(self.spherical_lengths.shape[0]):
-            share = jnp.minimum(distance / self.spherical_lengths[number], 1.0)
+            share = smaller(distance / self.spherical_lengths[number], 1.0)
             total = total + sigma[split + number] ** 2 * (1.0 - 1.5 * share + 0.5 * share**3)
         return total
 
