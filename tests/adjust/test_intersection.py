@@ -68,7 +68,7 @@ def shots_about(point: jaxgeo.Geodetic, offsets_enu) -> Shot:
         position = WGS84.to_geodetic(WGS84.to_ecef(point) + R_ecef_from_enu(point) @ offset)
         return Shot(Pose.looking_at(position=position, point=point))
 
-    return jax.vmap(shot)(offsets_enu)
+    return jax.tree.map(lambda x: x.astype(float), jax.vmap(shot)(offsets_enu))  # no weak types
 
 
 @jax.jit
