@@ -35,6 +35,7 @@ from tests.support.simulated_block import (
     camera,
     pixels,
     simulated,
+    tight,
 )
 
 NAMES, UV = ["a", "b"], np.array([[1.0, 2.0], [3.0, 4.0]])
@@ -300,19 +301,20 @@ def test_what_is_not_held_because_no_point_joins_it(words: Any) -> None:
 
 def test_control_of_two_points_leaves_a_turn(words: Any) -> None:
     of = simulated()
-    said = words(of.block(control=of.control(names=CONTROL[:2]), sigma_position=np.inf, sigma_attitude=np.inf))
+    block = of.block(control=of.control(names=CONTROL[:2]), sigma_position=np.inf, sigma_attitude=np.inf)
+    said = words(block, tight())
     assert said.count("of the whole block") == 1
     assert "turn about" in said
 
 
 def test_positions_without_heights_and_a_free_focal_length(words: Any) -> None:
     of = simulated()
-    said = words(of.block(control=None, sigma_position=[0.05, 0.05, np.inf]), Unknowns(focal=Free()))
+    said = words(of.block(control=None, sigma_position=[0.05, 0.05, np.inf]), tight(focal=Free()))
     assert "shift up" in said
 
 
 def test_shifts_of_all_strips_without_control(words: Any) -> None:
-    said = words(simulated().block(control=None), Unknowns(shift=Free()))
+    said = words(simulated().block(control=None), tight(shift=Free()))
     assert "shift" in said
     assert "Fix some of it, or give priors" in said
 

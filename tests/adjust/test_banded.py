@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -41,12 +42,18 @@ STRIPS, EACH = 2, 14
 @pytest.mark.parametrize("slabs, m, s", [(1, 6, 2), (4, 3, 0), (5, 4, 3)])
 def test_factors_and_inverses_are_those_of_the_whole_matrix(slabs: int, m: int, s: int) -> None:
     matrix, whole = tridiagonal(slabs, m, s)
-    factor, inverse = factored(matrix), np.linalg.inv(whole)
-    right = np.random.default_rng(1).normal(size=(slabs * m + s, 2))
-    found, shared = factor.solve(jnp.asarray(right[: slabs * m].reshape(slabs, m, 2)), jnp.asarray(right[slabs * m :]))
+    right, inverse = np.random.default_rng(1).normal(size=(slabs * m + s, 2)), np.linalg.inv(whole)
+
+    @jax.jit
+    def solved(matrix: Tridiagonal, *right: Any) -> Any:
+        factor = factored(matrix)
+        return factor.solve(*right), selected_inverse(factor)
+
+    sides = jnp.asarray(right[: slabs * m].reshape(slabs, m, 2)), jnp.asarray(right[slabs * m :])
+    (found, shared), selected = solved(matrix, *sides)
     both = np.concatenate([np.asarray(found).reshape(-1, 2), shared])
     np.testing.assert_allclose(both, inverse @ right, rtol=0.0, atol=1e-12 * np.abs(inverse).max())
-    chosen, there = dense_of(selected_inverse(factor)), dense_of(ones(matrix)) > 0.0
+    chosen, there = dense_of(selected), dense_of(ones(matrix)) > 0.0
     np.testing.assert_allclose(chosen[there], inverse[there], rtol=0.0, atol=1e-12 * np.abs(inverse).max())
 
 
@@ -54,7 +61,7 @@ def test_factors_and_inverses_are_those_of_the_whole_matrix(slabs: int, m: int, 
 def test_what_is_not_definite_has_no_factor(slabs: int) -> None:
     matrix, _ = tridiagonal(slabs, 3, 1)
     broken = Tridiagonal(matrix.diagonal.at[-1, 0, 0].set(0.0), matrix.below, matrix.border, matrix.corner)
-    assert not np.all(np.isfinite(factored(broken).own))
+    assert not np.all(np.isfinite(jax.jit(lambda matrix: factored(matrix).own)(broken)))
 
 
 def test_images_that_share_a_point_are_in_neighbouring_slabs() -> None:
@@ -111,7 +118,8 @@ def test_where_nothing_is_measured_nothing_is_computed() -> None:
     values = eqx.tree_at(lambda v: v.points, problem.start, problem.start.points.at[unseen].set(beside))
     empty = np.asarray(layout.information)[:, 0] == 0.0
     assert np.any(empty)
-    np.testing.assert_array_equal(np.asarray(image_residuals(problem, values))[:, empty], 0.0)
+    residuals = np.asarray(eqx.filter_jit(image_residuals)(problem, values))
+    np.testing.assert_array_equal(residuals[:, empty], 0.0)
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from jaxgeo.adjust import (
 from jaxgeo.earth import WGS84
 from jaxgeo.rotations import R_from_rotation_vector, rotation_vector_from_R
 from jaxgeo.uncertainty import ErrorModel
-from tests.support.simulated_block import Simulated, camera, simulated, small_turn
+from tests.support.simulated_block import Simulated, camera, simulated, small_turn, tight
 
 ASTRAY = small_turn(0.003, -0.002, 0.006)
 
@@ -132,7 +132,7 @@ def test_two_steps_refuse_navigation_that_says_nothing() -> None:
 # Calibrations
 
 
-KNOWN = Unknowns(
+KNOWN = tight(
     focal=Free(),
     principal=Prior(5.0),
     distortion={"k1": Prior(1e-3), "p1": Prior(1e-4)},

@@ -34,7 +34,8 @@ def sensor(*, plain: bool = False) -> Sensor:
         lever_body=np.zeros(3) if plain else np.array([0.8, -0.2, 0.4]),
         lever_head=np.zeros(3) if plain else np.array([0.05, 0.0, 0.1]),
     )
-    return Sensor(FrameCamera.from_pixels(focal_px=10_000.0, width=8001, height=6001, distortion=lens), mount=mount)
+    camera = FrameCamera.from_pixels(focal_px=10_000.0, width=8001, height=6001, distortion=lens)
+    return jax.tree.map(lambda x: jnp.asarray(x, float), Sensor(camera, mount=mount))  # alike for the compiler
 
 
 SENSOR, PLAIN = sensor(), sensor(plain=True)
@@ -67,7 +68,7 @@ def shots_about(point: jaxgeo.Geodetic, offsets_enu) -> Shot:
         position = WGS84.to_geodetic(WGS84.to_ecef(point) + R_ecef_from_enu(point) @ offset)
         return Shot(Pose.looking_at(position=position, point=point))
 
-    return jax.vmap(shot)(offsets_enu)
+    return jax.tree.map(lambda x: x.astype(float), jax.vmap(shot)(offsets_enu))  # no weak types
 
 
 @jax.jit
@@ -110,28 +111,38 @@ MODEL = ErrorModel(
 )
 
 
+def several(*, attitude: float = 1.0) -> tuple:
+    """Attitudes, pixels and a terrain that is of no effect: one compiled program for all their sizes."""
+    return (
+        sources.Attitude.from_degrees(heading=0.03 * attitude, pitch=0.02 * attitude, roll=0.02 * attitude),
+        sources.PixelMeasurement.from_pixels(column=0.5, row=0.5),
+        sources.TerrainHeight.from_metres(9.0),
+    )
+
+
+@jax.jit
+def shots_and_images(points: jaxgeo.Geodetic, offsets_enu):
+    """Shots about many points, their pixels and perspective centres, and the points in ECEF."""
+    shots = jax.vmap(shots_about)(points, offsets_enu)
+    uvs = jax.vmap(lambda shots, point: images_of(SENSOR, shots, point))(shots, points)
+    return shots, uvs, jax.vmap(jax.vmap(SENSOR.perspective_centre))(shots), jax.vmap(WGS84.to_ecef)(points)
+
+
 @pytest.fixture(scope="module")
 def all_sites():
     points = stacked([target_at(site) for site in SITES])
-    shots = jax.vmap(shots_about)(points, jnp.asarray([offsets for _, offsets in SITES.values()]))
-    return points, shots
-
-
-def distance(found, points) -> np.ndarray:
-    return np.linalg.norm(found.p_ecef - jax.vmap(WGS84.to_ecef)(points), axis=-1)
+    return points, shots_and_images(points, jnp.asarray([offsets for _, offsets in SITES.values()]))
 
 
 def test_exact_data_give_the_point(all_sites) -> None:
-    points, shots = all_sites
-    uvs = jax.vmap(lambda shots, point: images_of(SENSOR, shots, point))(shots, points)
+    points, (shots, uvs, centres, p_ecef) = all_sites
     found = by_pixels(SENSOR, shots, uvs, jnp.ones((len(SITES), RAYS), bool), 0.5)
     assert np.all(found.ok)
-    np.testing.assert_allclose(distance(found, points), 0.0, atol=1e-6)  # m
+    np.testing.assert_allclose(np.linalg.norm(found.p_ecef - p_ecef, axis=-1), 0.0, atol=1e-6)  # m
     np.testing.assert_allclose(found.residuals, 0.0, atol=1e-6)  # px
     np.testing.assert_allclose(found.position.height, points.height, atol=1e-6)  # m
     assert found.rays.tolist() == [RAYS] * len(SITES)
     assert found.degrees_of_freedom.tolist() == [2 * RAYS - 3] * len(SITES)
-    centres = jax.vmap(jax.vmap(SENSOR.perspective_centre))(shots)
     ranges = np.linalg.norm(centres - found.p_ecef[:, None], axis=-1)
     np.testing.assert_allclose(found.slant_ranges, ranges, atol=1e-6)
     away = (np.asarray(centres) - np.asarray(found.p_ecef)[:, None]) / ranges[..., None]
@@ -142,13 +153,13 @@ def test_exact_data_give_the_point(all_sites) -> None:
 @pytest.mark.slow
 def test_exact_data_through_the_air(all_sites) -> None:
     """The bent lines of sight meet at the point too; the straight ones, from high up, tens of metres beside it."""
-    points, shots = all_sites
+    points, (shots, _, _, p_ecef) = all_sites
     uvs = jax.vmap(images_through_air)(shots, points)
     bent = jax.jit(jax.vmap(lambda s, u: forward_intersection(SENSOR, s, u, sigma=0.5, atmosphere=AIR)))(shots, uvs)
     assert np.all(bent.ok)
-    np.testing.assert_allclose(distance(bent, points), 0.0, atol=1e-6)  # m
+    np.testing.assert_allclose(np.linalg.norm(bent.p_ecef - p_ecef, axis=-1), 0.0, atol=1e-6)  # m
     straight = by_pixels(SENSOR, shots, uvs, jnp.ones((len(SITES), RAYS), bool), 0.5)
-    assert distance(straight, points)[list(SITES).index("high")] > 20.0
+    assert np.linalg.norm(straight.p_ecef - p_ecef, axis=-1)[list(SITES).index("high")] > 20.0
 
 
 def test_order_and_padding_do_not_matter() -> None:
@@ -265,8 +276,7 @@ def test_no_weights_are_better_than_the_errors_own(drawn) -> None:
 
 
 def test_plain_weights_with_errors_of_the_pixels_are_those_of_sigma() -> None:
-    pixels = (sources.PixelMeasurement.from_pixels(column=0.5, row=0.5), sources.TerrainHeight.from_metres(9.0))
-    uvs = np.asarray(UVS) + NOISE
+    uvs, pixels = np.asarray(UVS) + NOISE, several(attitude=0.0)
     found, plain = forward_intersection(SENSOR, SHOTS, uvs, errors=pixels), point_by_pixels(SENSOR, SHOTS, uvs)
     np.testing.assert_allclose(found.p_ecef, plain.p_ecef, atol=1e-7)
     np.testing.assert_allclose(found.cov_enu, plain.cov_enu, rtol=1e-6)
@@ -291,7 +301,7 @@ def test_fused_fixes_come_to_the_same(drawn) -> None:
 def test_shots_in_common_share_their_errors() -> None:
     """Rays that are told to be of one shot have one attitude, which hardly counts in the plane where they look from all
     sides; but not in different flights."""
-    turned = (sources.Attitude.from_degrees(heading=0.03, pitch=0.02, roll=0.02), MODEL.sources[-1])
+    turned = several()
     apart = forward_intersection(SENSOR, SHOTS, UVS, errors=turned)
     together = forward_intersection(SENSOR, SHOTS, UVS, errors=turned, shot_of=np.zeros(RAYS))
     assert float(together.cov_enu[0, 0]) < 0.1 * float(apart.cov_enu[0, 0])

@@ -53,7 +53,10 @@ def test_an_eye_on_the_ground_sees_none_of_it_and_both_horizons_add_up():
 
 
 def test_derivatives_equal_differences():
-    J = jax.jacfwd(lambda h: jnp.stack([horizon(h, atmosphere=AIR).distance, 1e6 * horizon(h, atmosphere=AIR).dip]))
-    run = lambda h: np.array([horizon(h, atmosphere=AIR).distance, 1e6 * horizon(h, atmosphere=AIR).dip])  # noqa: E731
-    difference = (8 * (run(5010.0) - run(4990.0)) - (run(5020.0) - run(4980.0))) / 12
-    np.testing.assert_allclose(J(5000.0) * 10.0, difference, rtol=0, atol=1e-5)
+    def run(height):
+        seen = horizon(height, atmosphere=AIR)
+        return (jnp.stack([seen.distance, 1e6 * seen.dip]),) * 2
+
+    J, values = jax.jit(jax.vmap(jax.jacfwd(run, has_aux=True)))(5000.0 + 10.0 * jnp.arange(-2.0, 3.0))
+    difference = (8 * (values[3] - values[1]) - (values[4] - values[0])) / 12
+    np.testing.assert_allclose(J[2] * 10.0, difference, rtol=0, atol=1e-5)

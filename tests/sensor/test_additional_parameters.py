@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.lenses import correct, distort, in_field, pixels, rays, undistort
 
 from jaxgeo.sensor import Bauer, BrownConrady, BrownPhysical, Ebner, FrameCamera, NoDistortion
 from jaxgeo.status import Status
@@ -14,13 +15,6 @@ C, B, R0 = 55.5019, 26.85, 21.7  # mm: focal length, half of the longer side, ra
 IMAGE = {"focal_px": C / 5.2e-3, "width": 10328, "height": 7760}
 CLASSICAL = [Bauer, Ebner, BrownPhysical]
 LENSES = pytest.mark.parametrize("kind", CLASSICAL)
-
-correct = jax.jit(jax.vmap(lambda lens, points: lens.correct(points), (None, 0)))
-distort = jax.jit(jax.vmap(lambda lens, points: lens.distort(points), (None, 0)))
-undistort = jax.jit(jax.vmap(lambda lens, points: lens.undistort(points), (None, 0)))
-in_field = jax.jit(jax.vmap(lambda lens, points: lens.in_field(points), (None, 0)))
-rays = jax.jit(jax.vmap(lambda camera, uv: camera.ray(uv), (None, 0)))
-pixels = jax.jit(jax.vmap(lambda camera, p: camera.project(p), (None, 0)))
 
 
 def bauer_mm(a, x, y):
@@ -189,6 +183,13 @@ ALL = {
 }
 
 
+@jax.jit
+def slopes_by_coefficients(lens, vector, places):
+    return jax.vmap(jax.jacrev(lambda vector, place: lens.with_coefficients(vector).distort(place)), (None, 0))(
+        vector, places
+    )
+
+
 @pytest.mark.parametrize("name", ALL)
 def test_coefficients_come_and_go_as_a_vector(name):
     lens = ALL[name]
@@ -198,10 +199,7 @@ def test_coefficients_come_and_go_as_a_vector(name):
     assert type(other) is type(lens)
     np.testing.assert_array_equal(other.coefficients(), 2.0 * vector)
 
-    def moved(vector, places):
-        return lens.with_coefficients(vector).distort(places)
-
-    slopes = jax.jit(jax.vmap(jax.jacrev(moved), (None, 0)))(vector, places_mm()[:3] / C)
+    slopes = slopes_by_coefficients(lens, vector, places_mm()[:3] / C)
     assert slopes.shape == (3, 2, len(lens.names))
     assert np.all(np.any(np.asarray(slopes) != 0.0, axis=(0, 1)))
     if not lens.names:

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from support.derivatives import derivatives_at_zero
+from support.lenses import distort, in_field, undistort
 
 from jaxgeo.sensor import Bauer, BrownConrady, BrownPhysical, Ebner, NoDistortion
 from jaxgeo.status import Status
@@ -38,10 +40,6 @@ ROWS = pytest.mark.parametrize("name", DISTORTIONS)
 IDENTITY_AT_THE_CENTRE = [
     name for name, (lens, _) in DISTORTIONS.items() if isinstance(lens, NoDistortion | BrownConrady)
 ]
-
-in_field = jax.jit(jax.vmap(lambda distortion, points: distortion.in_field(points), (None, 0)))
-distort = jax.jit(jax.vmap(lambda distortion, points: distortion.distort(points), (None, 0)))
-undistort = jax.jit(jax.vmap(lambda distortion, points: distortion.undistort(points), (None, 0)))
 
 
 def disc(radius: float, count: int = 400) -> np.ndarray:
@@ -147,10 +145,13 @@ def test_what_is_not_finite_is_said_to_be_so(name):
     assert np.all(back == 0.0)
 
 
+slope_at_the_centre = jax.jit(lambda lens: jax.jacfwd(lens.distort)(jnp.zeros(2)))
+
+
 @pytest.mark.parametrize("name", IDENTITY_AT_THE_CENTRE)
 def test_the_field_starts_as_the_identity(name):
     distortion, _ = DISTORTIONS[name]
-    jacobian = jax.jacfwd(distortion.distort)(jnp.zeros(2))
+    jacobian = slope_at_the_centre(jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), distortion))
     np.testing.assert_allclose(jacobian, np.eye(2), rtol=0, atol=1e-15)
 
 
@@ -160,21 +161,9 @@ def test_the_written_out_jacobian_is_the_derivative_of_the_formula():
     np.testing.assert_allclose(jax.jit(jax.vmap(lens.jacobian))(points), automatic, rtol=0, atol=1e-14)
 
 
-def central_differences(f, x: jax.Array, step: float) -> jax.Array:
-    """Derivative of `f` along each component of `x`, of fourth order; components last."""
-    stencil = step * jnp.array([-2.0, -1.0, 1.0, 2.0])
-    shifts = stencil[:, None, None] * jnp.eye(x.size)[None]
-    values = jax.vmap(f)(x[None] + shifts.reshape(-1, x.size))
-    slopes = jnp.tensordot(jnp.array([1.0, -8.0, 8.0, -1.0]), values.reshape(4, x.size, *values.shape[1:]), 1)
-    return jnp.moveaxis(slopes, 0, -1) / (12.0 * step)
-
-
 @functools.partial(jax.jit, static_argnames="inverse")
 def derivatives(lens, point, inverse):
-    """(forward, reverse, second) derivatives and the differences of value and first derivative.
-
-    In all numbers of lens and point, each in units of its own size.
-    """
+    """Derivatives in all numbers of lens and point, each in units of its own size."""
     flat, unravel = ravel_pytree((lens, point))
     unit = jnp.where(jnp.abs(flat) > 0.0, jnp.abs(flat), 0.01)
 
@@ -182,9 +171,7 @@ def derivatives(lens, point, inverse):
         lens, point = unravel(flat + unit * x)
         return lens.undistort(point)[0] if inverse else lens.distort(point)
 
-    x, forward = jnp.zeros(flat.size), jax.jacfwd(f)
-    differences = central_differences(f, x, 3e-4), central_differences(forward, x, 3e-4)
-    return forward(x), jax.jacrev(f)(x), jax.jacfwd(jax.jacrev(f))(x), *differences
+    return derivatives_at_zero(f, flat.size, 3e-4)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +186,7 @@ def test_derivatives_equal_differences_and_forward_equals_reverse(name, inverse)
     lens, radius = DISTORTIONS[name]
     lens = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), lens)
     point = 0.6 * radius * jnp.array([0.8, -0.5])
-    point = lens.distort(point) if inverse else point
+    point = distort(lens, point[None])[0] if inverse else point
     first, reverse, second, first_diff, second_diff = derivatives(lens, point, inverse)
     np.testing.assert_allclose(first, reverse, rtol=0, atol=1e-12 * np.abs(first).max())
     np.testing.assert_allclose(first, first_diff, rtol=0, atol=1e-9 * np.abs(first).max())

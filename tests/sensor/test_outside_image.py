@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.lenses import pixels, rays
 
 import jaxgeo
 from jaxgeo import BrownConrady, ConstantHeight, FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, Status
@@ -22,10 +22,6 @@ LENSES = {
     "correction": Ebner.for_image(focal_px=3700.0, width=WIDTH, height=HEIGHT),
 }
 BESIDE = np.array([[-1.0, 20.0], [4000.0, 1499.5], [1e4, 1e4], [2e4, 1499.5], [1999.5, -1e5], [1e7, 0.0]])
-
-
-rays = eqx.filter_jit(lambda camera, uv: jax.vmap(camera.ray)(uv))
-pixel = eqx.filter_jit(lambda camera, p: camera.project(p))
 
 
 def camera(lens: str) -> FrameCamera:
@@ -81,9 +77,9 @@ def test_a_point_far_beside_the_view_is_outside_the_image(lens: str) -> None:
 
 def test_batches_of_points_have_the_statuses_of_single_ones() -> None:
     one = camera("barrel")
-    x, y = (part.ravel() for part in np.meshgrid(np.linspace(-5.0, 5.0, 41), np.linspace(-5.0, 5.0, 41)))
+    x, y = (part.ravel() for part in np.meshgrid(np.linspace(-5.0, 5.0, 20), np.linspace(-5.0, 5.0, 20)))
     z = np.ones_like(x)
-    single, statuses = jax.jit(jax.vmap(one.project))(jnp.stack([x, y, z], axis=1))
+    single, statuses = pixels(one, np.stack([x, y, z], axis=1))
     u, v, status = jax.jit(type(one).project_many)(one, jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))
     np.testing.assert_array_equal(status, statuses)
     np.testing.assert_allclose(np.stack([u, v], axis=1), single, rtol=0, atol=1e-9)
@@ -94,5 +90,5 @@ def test_a_fold_within_the_image_is_still_told_as_the_lens() -> None:
     strong = FrameCamera.from_pixels(focal_px=3700.0, width=WIDTH, height=HEIGHT, distortion=BrownConrady(k1=-1.5))
     _, status = rays(strong, jnp.zeros((1, 2)))
     assert int(status[0]) == Status.outside_distortion_field
-    _, status = pixel(strong, jnp.array([1.0, 0.7, 1.0]))
-    assert int(status) == Status.outside_distortion_field
+    _, status = pixels(strong, np.array([[1.0, 0.7, 1.0]]))
+    assert int(status[0]) == Status.outside_distortion_field

@@ -165,17 +165,13 @@ def _interior(camera: Any) -> np.ndarray:
 
 
 def _control(control: Any, points: list[str], where: Any) -> list[Any]:
-    found = []
-    for i, name in enumerate(control.name.tolist()):
-        if name not in points:
-            continue
-        off = where[points.index(name)] - control.place[i]
-        if control.covariance is not None:
-            found.append(np.linalg.inv(np.linalg.cholesky(control.covariance[i])) @ off)
-        else:
-            with np.errstate(divide="ignore"):
-                found.append(off * np.where(control.sigma[i] > 0.0, 1.0 / control.sigma[i], 0.0))
-    return found
+    seen = np.array([i for i, name in enumerate(control.name.tolist()) if name in points], int)
+    off = where[np.array([points.index(control.name[i]) for i in seen], int)] - control.place[seen]
+    if control.covariance is not None:
+        weight = np.linalg.inv(np.linalg.cholesky(control.covariance[seen]))
+        return [jnp.einsum("pij,pj->pi", weight, off)]
+    with np.errstate(divide="ignore"):
+        return [off * np.where(control.sigma[seen] > 0.0, 1.0 / control.sigma[seen], 0.0)]
 
 
 def _navigation(
@@ -184,7 +180,7 @@ def _navigation(
     nav, mounts, strips = adjustment.block.navigation, adjustment.mounts, adjustment.strips
     strip = of_strip + np.stack(list(strips.values()))
     found = [strip * by_strip]
-    turned = []
+    turned, levels = [], []
     for i, (name, mount) in enumerate(mounts.items()):
         given, level = nav.mounts[name]
         turn = R_from_rotation_vector(of_mount[i, :3])
@@ -196,19 +192,26 @@ def _navigation(
             before, start = turn @ before, start.R_body_from_base
             from_start = before @ np.asarray(start).T
         lever = np.asarray(mount.lever_body) + of_mount[i, 3:]
-        turned.append((before, after, lever, np.asarray(mount.lever_head), level))
+        turned.append((before, after, lever, np.asarray(mount.lever_head)))
+        levels.append(level)
         off = jnp.concatenate([rotation_vector_from_R(from_start), lever - np.asarray(given.lever_body)])
         found.append(off * by_mount[i])
-    times = {name: np.mean(nav.time[nav.strip == name]) for name in strips}
-    for k in range(len(nav.time)):
-        before, after, lever, lever_head, level = turned[list(mounts).index(nav.mount[k])]
+    of_image = np.array([list(mounts).index(name) for name in nav.mount.tolist()])
+    numbers = np.array([list(strips).index(name) for name in nav.strip.tolist()])
+    times = np.array([np.mean(nav.time[numbers == k]) for k in range(len(strips))])
+    befores, afters, levers, levers_head = (jnp.stack(part)[of_image] for part in zip(*turned, strict=True))
+
+    def image(k: Any, before: Any, after: Any, lever: Any, lever_head: Any, level: Any, own: Any) -> Any:
         R_frame_from_head = R[k] @ after.T
-        R_frame_from_base = R_frame_from_head @ nav.R_base_from_head[k].T
-        implied = R_frame_from_base if level else R_frame_from_base @ before.T
-        body = nav.R_frame_from_body[k] if level else implied
-        own = strip[list(strips).index(nav.strip[k])]
+        R_frame_from_base = R_frame_from_head @ jnp.asarray(nav.R_base_from_head)[k].T
+        implied = jnp.where(level, R_frame_from_base, R_frame_from_base @ before.T)
+        body = jnp.where(level, jnp.asarray(nav.R_frame_from_body)[k], implied)
         imu = centre[k] - body @ lever - R_frame_from_head @ lever_head
-        off = imu + own[:3] + own[3:] * (nav.time[k] - times[nav.strip[k]]) - nav.position[k]
-        turn = rotation_vector_from_R(nav.R_frame_from_reference[k].T @ implied)
-        found += [nav.information_position[k] @ off, nav.information_attitude[k] @ turn]
-    return found
+        off = imu + own[:3] + own[3:] * jnp.asarray(nav.time - times[numbers])[k] - jnp.asarray(nav.position)[k]
+        turn = rotation_vector_from_R(jnp.asarray(nav.R_frame_from_reference)[k].T @ implied)
+        by_position, by_attitude = jnp.asarray(nav.information_position)[k], jnp.asarray(nav.information_attitude)[k]
+        return jnp.concatenate([by_position @ off, by_attitude @ turn])
+
+    level = np.array(levels)[of_image]
+    every = jnp.arange(len(nav.time))
+    return [*found, jax.vmap(image)(every, befores, afters, levers, levers_head, level, strip[numbers])]

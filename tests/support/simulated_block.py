@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo import BrownConrady, FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot
-from jaxgeo.adjust import Block, GroundPoints, ImagePoints, Images, LocalFrame
+from jaxgeo.adjust import Block, GroundPoints, ImagePoints, Images, LocalFrame, Prior, Unknowns
 from jaxgeo.adjust.navigation import sights_of
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import boresight_from_degrees
@@ -43,6 +43,13 @@ def camera(**changes: Any) -> FrameCamera:
     return FrameCamera.from_pixels(width=4000, height=3000, **constants)
 
 
+def tight(**changes: Any) -> Unknowns:
+    """Unknowns of camera, mount and strips that hardly move, with optional changes; one compiled program for all."""
+    held = Prior(1e-9)
+    given = dict.fromkeys(("focal", "principal", "boresight", "lever", "shift"), held)
+    return Unknowns(**given | {"distortion": {"k1": held, "p1": held}} | changes)
+
+
 def fixed() -> Sensor:
     """Sensor on a fixed mount, with boresight and lever arms."""
     return Sensor(camera(), mount=MOUNT)
@@ -63,7 +70,21 @@ def drone() -> Sensor:
 
 def small_turn(*vector: float) -> np.ndarray:
     """Rotation matrix of a rotation vector in rad."""
-    return np.asarray(R_from_rotation_vector(jnp.array(vector)))
+    return np.asarray(_R_from_rotation_vector(np.array(vector, float)))
+
+
+_R_from_rotation_vector = jax.jit(R_from_rotation_vector)
+
+
+@eqx.filter_jit
+def R_frame_from_enu(frame: LocalFrame, position: Geodetic) -> jax.Array:
+    """Rotations at many positions."""
+    return jax.vmap(frame.R_local_from_enu)(position)
+
+
+@eqx.filter_jit
+def _distorted(lens: BrownConrady, tangents: jax.Array) -> jax.Array:
+    return jax.vmap(lens.distort)(tangents)
 
 
 @cache
@@ -168,7 +189,7 @@ def simulated(kind: str = "fixed", lat: float = MIDDLE[0], lon: float = MIDDLE[1
     n, rng = len(time), np.random.default_rng(3)
     # Headings are those of the frame, which near the pole differ much from those of each image's meridian.
     position = frame.to_geodetic(place)
-    enu = np.asarray(jax.vmap(frame.R_local_from_enu)(position))
+    enu = np.asarray(R_frame_from_enu(frame, position))
     heading = heading + np.arctan2(enu[:, 1, 0], enu[:, 0, 0])
     small = rng.normal(0.0, 0.02, (2, n))
     readings = np.zeros((n, 0))
@@ -191,14 +212,14 @@ def pixels(of: FrameCamera, centre: np.ndarray, R: np.ndarray, points: np.ndarra
     """Pixels (k, 2) of points (k, 3) from cameras (k, 3), (k, 3, 3), inside the image or not."""
     d = np.einsum("kji,kj->ki", R, points - centre)
     return np.asarray(of.principal_px) + np.asarray(of.focal_px) * np.asarray(
-        jax.vmap(of.distortion.distort)(jnp.asarray(d[:, :2] / d[:, 2:]))
+        _distorted(of.distortion, jnp.asarray(d[:, :2] / d[:, 2:]))
     )
 
 
 def moved_shots(frame: LocalFrame, shots: Shot, enu: np.ndarray, angles: np.ndarray) -> Shot:
     """Shots shifted by m east, north, up, and turned by rad of heading, pitch, roll, or of their gimbal's axes."""
     pose = shots.pose
-    turn = np.asarray(jax.vmap(frame.R_local_from_enu)(pose.position))
+    turn = np.asarray(R_frame_from_enu(frame, pose.position))
     place = np.asarray(frame.from_geodetic(pose.position)) + np.einsum("nij,nj->ni", turn, enu)
     position = frame.to_geodetic(place)
     if np.shape(shots.gimbal_readings)[1] == 3:  # level itself is right, the gimbal's reported angles in it are not

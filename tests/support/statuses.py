@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo import Dem, Fix, Ray, intersect
 from jaxgeo.status import Status
 from support.fractal import ecef, normal_and_height
 
@@ -19,6 +23,7 @@ PER_CELL = 3  # samples along the ray per cell
 COARSE = 24  # samples per length of the area, on the way to it
 MARGIN = 1.0  # m above the ceiling where searches start: both outcomes are allowed for a ray that starts in between
 
+STORED, RAYS = (121, 723), 64  # shape of stored posts and number of rays of the compiled intersection
 LonLat = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -339,3 +344,23 @@ def differences(outcomes: list[Outcome], status: np.ndarray, distance: np.ndarra
         elif np.isfinite(expected.distance) and abs(distance[k] - expected.distance) > WRONG_DISTANCE:
             wrong.append(f"ray {k}: {told.name} at {distance[k]} m, not {expected.distance}")
     return wrong
+
+
+def stored(posts: np.ndarray) -> np.ndarray:
+    """Posts padded with NaN to the shape `STORED`, for a `Dem` whose `extent` is their shape."""
+    more = np.full(STORED, np.nan)
+    more[: posts.shape[0], : posts.shape[1]] = posts
+    return more
+
+
+@eqx.filter_jit
+def _hits(rays: Ray, dem: Dem) -> Fix:
+    return jax.vmap(intersect, in_axes=(0, None))(rays, dem)
+
+
+def hits(rays: Ray, dem: Dem) -> Fix:
+    """Fixes of rays, 64 at a time: one compiled program for all numbers of rays."""
+    count = rays.origin.shape[0]
+    rows = np.minimum(np.arange(-(-count // RAYS) * RAYS), count - 1).reshape(-1, RAYS)
+    parts = [_hits(jax.tree.map(lambda x, row=row: jnp.asarray(x)[row], rays), dem) for row in rows]
+    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)

@@ -25,7 +25,7 @@ def ventoux(jaxgeo_test_data):
 
 def _ecef(lon_lat_height):
     lon, lat, height = lon_lat_height.T
-    return jax.vmap(WGS84.to_ecef)(Geodetic.from_degrees(lat=lat, lon=lon, height=height))
+    return jax.jit(jax.vmap(WGS84.to_ecef))(Geodetic.from_degrees(lat=lat, lon=lon, height=height))
 
 
 @pytest.fixture(scope="module")

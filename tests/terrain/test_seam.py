@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import pathlib
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from rasterio.transform import Affine
 from support.rasters import write
-from support.statuses import Marched, aimed, differences
+from support.statuses import Marched, aimed, differences, hits, stored
 
-from jaxgeo import Dem, Geodetic, Ray, Status, intersect
+from jaxgeo import Dem, Geodetic, Ray, Status
 from jaxgeo.io import read_dem
 from jaxgeo.io.extent import extent_deg, place_beside
 from jaxgeo.terrain import GeographicGrid
 
 STEP, TURN = 0.5, 720  # deg between posts of a row, and how many go round
-ROWS, STORED = 13, (13, 723)  # of one shape, so that one program serves all
+ROWS = 13
 POLAR, MIDDLE = (89.4, 0.005), (45.0, 0.5)  # latitude of the first row, deg between rows
 EXACT = 0.05  # m: nearer to another outcome, either may be told; cells are 40 km long
 RAYS = 60
@@ -37,11 +36,6 @@ GRIDS = {
 QUICK = ("-180..180 with its last column the first", "-179..179", "-130..130")
 
 
-@eqx.filter_jit
-def hits(rays: Ray, dem: Dem):
-    return jax.vmap(intersect, in_axes=(0, None))(rays, dem)
-
-
 def posts_of(cols: int) -> np.ndarray:
     posts = np.random.default_rng(1).uniform(0.0, 900.0, (ROWS, TURN + 1))
     posts[:, TURN] = posts[:, 0]
@@ -54,9 +48,7 @@ def grid_of(west: float, cols: int, band: tuple[float, float]) -> GeographicGrid
 
 
 def dem_of(west: float, cols: int, band: tuple[float, float]) -> Dem:
-    stored = np.full(STORED, np.nan)
-    stored[:, :cols] = posts_of(cols)
-    return Dem.from_array(stored, grid_of(west, cols, band), extent=(ROWS, cols))
+    return Dem.from_array(stored(posts_of(cols)), grid_of(west, cols, band), extent=(ROWS, cols))
 
 
 def march_of(west: float, cols: int, band: tuple[float, float], *, wraps: bool = False) -> Marched:
@@ -122,9 +114,7 @@ def test_a_file_that_goes_all_round_the_earth_is_closed(
     for bounds in (None, (-180.0, -90.0, 180.0, 90.0)) if repeated else (None,):
         dem = read_dem(path, vertical_datum=0, bounds=bounds)
         assert tuple(np.asarray(dem.extent)) == (ROWS, TURN + 2)
-    stored = np.full(STORED, np.nan)
-    stored[:, : TURN + 2] = np.asarray(dem.posts)[:ROWS, : TURN + 2]
-    same = Dem.from_array(stored, dem.grid, extent=(ROWS, TURN + 2))
+    same = Dem.from_array(stored(np.asarray(dem.posts)[:ROWS, : TURN + 2]), dem.grid, extent=(ROWS, TURN + 2))
     for lon in (first, first + 180.0):
         assert held_against(march_of(first, TURN, POLAR, wraps=True), same, lon, POLAR, RAYS)["hit"] > 0.4 * RAYS
     assert extent_deg(dem)[::2] == (-180.0, 180.0)
@@ -136,7 +126,7 @@ def test_heights_go_on_across_the_seam():
     west, cols = GRIDS["-180..180 with its last column the first"]
     dem, march = dem_of(west, cols, POLAR), march_of(west, cols, POLAR, wraps=True)
     lon, lat = np.array([179.9, -180.0, 180.0, -179.9]), np.full(4, POLAR[0] - 3.4 * POLAR[1])
-    found = jax.vmap(dem.height_at)(Geodetic.from_degrees(lat=lat, lon=lon, height=np.zeros(4)))
+    found = jax.jit(jax.vmap(dem.height_at))(Geodetic.from_degrees(lat=lat, lon=lon, height=np.zeros(4)))
     row, col = march.to_rowcol(lon, lat)
     i, j, _ = march.cells(row, col)
     z, _ = march.corners(i, j)
@@ -149,8 +139,9 @@ def test_heights_go_on_across_the_seam():
 def test_rays_that_pass_a_pole_within_a_hair_meet_the_ground_behind_it():
     """The row at the pole is one place; closer than a millimetre to it columns turn by half a turn within a step."""
     west, cols = GRIDS["-180..180 with its last column the first"]
-    stored = np.full(STORED, 100.0)
-    dem = Dem.from_array(stored, grid_of(west, cols, (90.0, POLAR[1])), extent=(ROWS, cols))
+    dem = Dem.from_array(
+        stored(np.full((ROWS, cols), 100.0)), grid_of(west, cols, (90.0, POLAR[1])), extent=(ROWS, cols)
+    )
     rng = np.random.default_rng(5)
     away = np.repeat([0.0, 1e-6, 1e-3, 0.1, 5.0, 300.0], 10)
     lat, lon = 90.0 - np.degrees(away / 6.4e6), rng.uniform(-180.0, 180.0, 60)
