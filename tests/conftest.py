@@ -29,7 +29,7 @@ os.environ.setdefault("JAXGEO_CACHE_DIR", str(PROJECT / ".cache" / "jaxgeo"))  #
 QUICK_TO_COMPILE = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
-# Without optimisation, XLA of jaxlib 0.10 gives wrong numbers with AVX: derivatives of `earth.horizon` by 0.5 %.
+# Without optimisation, XLA of jaxlib 0.10 gives wrong numbers with AVX2, not the same ones every time.
 if platform.machine() in ("x86_64", "AMD64"):
     QUICK_TO_COMPILE += " --xla_cpu_max_isa=SSE4_2"
 
