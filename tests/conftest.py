@@ -25,7 +25,9 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 os.environ.setdefault("JAXGEO_CACHE_DIR", str(PROJECT / ".cache" / "jaxgeo"))  # of commands in processes of their own
 # What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
 # comes to hang on how one compiler does. With XLA_FLAGS in the environment, be it empty, tests run what users run.
-QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+QUICK_TO_COMPILE = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+)
 
 
 MOST_RESIDENT, MORE_RESIDENT = 2_000_000_000, 500_000_000  # bytes of a process of tests, of which there may be many
