@@ -10,6 +10,7 @@ import numpy as np
 import pyogrio
 import pyproj
 import pytest
+from support.command_files import prepare
 from support.drone_image_files import packet, write_image
 from support.miaoli import FRAMES, UNDULATION, Village
 from typer.testing import CliRunner
@@ -53,7 +54,9 @@ def as_json(*arguments: str | pathlib.Path) -> dict:
     return json.loads(result.stdout)
 
 
-def test_an_image_is_located_as_by_the_library(image: pathlib.Path) -> None:
+def test_an_image_is_located_as_by_the_library(tmp_path: pathlib.Path) -> None:
+    prepare(tmp_path, "DJI_0042.JPG")
+    image = tmp_path / "DJI_0042.JPG"
     told = as_json(image, *GROUND, "--pixel", "10,20", "--dem-sigma", "2")
     (row,) = told["fixes"]
     found = with_usual_errors(read_acquisition(image, height_datum="ellipsoid"))
