@@ -75,6 +75,14 @@ def test_an_image_is_located_as_by_the_library(tmp_path: pathlib.Path) -> None:
     assert "--dem-sigma" not in sentences, "it was given"
 
 
+def test_the_table_on_the_screen_fits_and_says_the_status(tmp_path: pathlib.Path) -> None:
+    prepare(tmp_path, "DJI_0042.JPG")
+    result = run(tmp_path / "DJI_0042.JPG", *GROUND, "--dem-sigma", "2", "--pixel", "10,10", "--pixel=-10,10")
+    assert result.exit_code == 0, result.stderr
+    assert "outside_image" in result.stdout
+    assert "hit" in result.stdout
+
+
 @pytest.mark.slow
 def test_what_is_typed_takes_the_place_of_what_is_assumed(image: pathlib.Path) -> None:
     sigmas = ["--position-sigma", "0", "--gimbal-sigma", "0.5", "--dem-sigma", "0", "--focal-sigma", "0px"]
