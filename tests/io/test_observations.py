@@ -162,7 +162,8 @@ def test_errors_are_of_the_file_then_usual_ones(folder) -> None:
 
 def test_accuracy_is_that_of_each_observation(folder) -> None:
     """In two batches of one form, so that one program is compiled; the last row comes first."""
-    observed = read_observations(["broken.JPG", "images"], **HOW).add_sources(TerrainHeight.from_metres(5.0))
+    observed = read_observations(["broken.JPG", "DJI_0042.JPG"], PIXELS, **HOW)
+    observed = observed.add_sources(TerrainHeight.from_metres(5.0))
     (batch,) = observed.batches
     halves = tuple(ObservationBatch(*batch.at(np.array([k])), batch.rows[[k]]) for k in (1, 0))
     is_accuracy_of_each(dataclasses.replace(observed, batches=halves), rows=(1, 2))
