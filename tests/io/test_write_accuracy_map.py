@@ -8,7 +8,7 @@ import pytest
 import rasterio
 
 import jaxgeo
-from jaxgeo import Pose, Status
+from jaxgeo import Pose, Shot, Status
 from jaxgeo.io import write_accuracy_map
 from jaxgeo.uncertainty import NO_FIX, Method, sources
 from tests.support import looks
@@ -59,7 +59,9 @@ def test_bands_are_the_map(written) -> None:
 
 @pytest.mark.slow
 def test_the_image_fills_the_map_that_was_made_for_it(tmp_path) -> None:
-    found = write_accuracy_map(tmp_path / "a.TIFF", *SCENE, resolution=50.0, block=64)
+    shot = Shot(POSE, SENSOR.gimbal.readings_from_degrees(outer=62.0, inner=0.0))
+    scene = (SENSOR, shot, looks.LEVEL, MODEL)
+    found = write_accuracy_map(tmp_path / "a.TIFF", *scene, resolution=50.0, block=64)
     with rasterio.open(tmp_path / "a.TIFF") as data:
         assert data.crs.to_epsg() == 32632
         seen = data.read(4) == Status.hit

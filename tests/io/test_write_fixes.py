@@ -377,7 +377,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     told = accuracy(SENSOR, SHOT, UV[0], GROUND, MODEL, probability=0.8)
     write_fixes(path, located, accuracy=[told, None], crs="EPSG:32632")
     rows, points, (ellipse,) = read(path)
-    assert [row["ce80_m"] for row in rows] == pytest.approx([told.circular, np.nan], abs=1e-4, nan_ok=True)
+    assert [row["ce80_m"] for row in rows] == pytest.approx([float(told.circular), np.nan], abs=1e-4, nan_ok=True)
     assert rows[0]["accuracy_method"] == told.words
     assert rows[0]["accuracy_text"] == told.because
     assert unknown(rows[1]["accuracy_text"])
@@ -388,7 +388,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     everywhere = accuracy(SENSOR, SHOT, UV, GROUND, MODEL, probability=0.8, block=1)
     write_fixes(path, located, accuracy=everywhere, crs="EPSG:32632")
     rows, _, (another,) = read(path)
-    assert [row["ce80_m"] for row in rows] == pytest.approx([told.circular, np.nan], abs=1e-4, nan_ok=True)
+    assert [row["ce80_m"] for row in rows] == pytest.approx([float(told.circular), np.nan], abs=1e-4, nan_ok=True)
     assert layer(path, "ellipses")[2][0]["kind"] == "ellipse"
     assert another.area == pytest.approx(area, rel=3e-3)
     with pytest.raises(ValueError, match=r"accuracy is of a batch of the shape \(2,\), fixes of 1"):
@@ -398,7 +398,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     for other in (everywhere, [told, None]):
         with pytest.raises(ValueError, match=r"accuracy 0 is of another place than fix 0, 1\.11 m off"):
             write_fixes(path, off, accuracy=other)
-    with pytest.raises(ValueError, match=r"told with a probability of 0\.8, but 0\.9 is asked for"):
+    with pytest.raises(ValueError, match=r"accuracy has a probability of 0\.8, but 0\.9 is asked for"):
         write_fixes(path, located, accuracy=[told, None], probability=0.9)
     assert len(read(path)[0]) == 2
 

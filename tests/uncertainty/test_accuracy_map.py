@@ -98,7 +98,7 @@ def test_one_look_without_raising() -> None:
     one = accuracy(SENSOR, SHOT, (300.0, 300.0), LEVEL, MODEL, probability=0.5, sampling=None)
     alone = accuracy(SENSOR, SHOT, (300.0, 300.0), LEVEL, MODEL, probability=0.5)
     assert [float(getattr(one, name)) for name in FIGURES] == pytest.approx(
-        [getattr(alone, name) for name in FIGURES], rel=1e-9
+        [float(getattr(alone, name)) for name in FIGURES], rel=1e-9
     )
     assert int(one.method) == int(alone.method)
     up = Shot(Pose(POSE.position, 0.0, 0.0, 0.0), SENSOR.gimbal.readings_from_degrees(outer=100.0, inner=0.0))
@@ -126,7 +126,7 @@ def test_from_a_pose_the_gimbal_is_pointed_at_each_place(pointed) -> None:
         np.testing.assert_allclose(found.readings[place], shot.gimbal_readings, atol=1e-12)  # rad
         alone = accuracy(sensor, shot, CAMERA.principal_px, LEVEL, MODEL)
         assert [float(getattr(found, name)[place]) for name in FIGURES] == pytest.approx(
-            [getattr(alone, name) for name in FIGURES], rel=1e-9
+            [float(getattr(alone, name)) for name in FIGURES], rel=1e-9
         )
 
 
