@@ -17,6 +17,14 @@ import jaxgeo
 CALLS: list[tuple[int, ...]] = []
 
 
+@pytest.fixture(autouse=True)
+def given_back(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """How often memory was given back, which takes a second in a large process and is not done here."""
+    calls: list[bool] = []
+    monkeypatch.setattr("jaxgeo.batches._give_back", lambda: calls.append(True))
+    return calls
+
+
 def moved(p: Any, by: Any) -> tuple[Any, Any]:
     """Told each time that it is traced."""
     CALLS.append(p.shape)
@@ -33,9 +41,10 @@ def test_answers_are_those_of_all_at_once(count: int, size: int) -> None:
         np.testing.assert_array_equal(own, whole)
 
 
-def test_what_is_left_over_is_no_second_program() -> None:
+def test_what_is_left_over_is_no_second_program(given_back: list[bool]) -> None:
     p = np.zeros((11, 2))
     jaxgeo.in_batches(moved, p, jnp.zeros(2), size=4)
+    assert given_back == [True], "once, after the first batch"
     CALLS.clear()
     jaxgeo.in_batches(moved, p[:10], jnp.ones(2), size=4)
     assert CALLS == []

@@ -14,12 +14,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from pyogrio import raw
-from support.drone_image_files import packet, write_image
+from support.drone_image_files import FULL, packet, write_image
 from support.klv_packets import local_set, usual
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
-from jaxgeo.io import TableError, UnstatedDatum, read_acquisitions
+from jaxgeo.io import TableError, UnstatedDatum, read_acquisitions, read_observations
 from jaxgeo.io.acquisitions.sentences import merged_sentences
 from jaxgeo.uncertainty import sources
 
@@ -75,9 +75,14 @@ def located(flight: pathlib.Path) -> dict:
 
 
 @pytest.fixture(scope="module")
-def sure(flight: pathlib.Path) -> dict:
-    """Of one structure, so that little is compiled."""
-    result = run("locate", flight / "a.jpg", flight / "b.jpg", flight / "c.jpg", *GROUND, "--json")
+def sure(tmp_path_factory) -> dict:
+    """Of the structure of other tests, so that little is compiled."""
+    folder = tmp_path_factory.mktemp("sure")
+    image(folder, "a.jpg", size=FULL)
+    write_image(folder / "b.jpg", packet(DJI | RTK | {"drone-dji:GpsLatitude": "+36.319"}), make="DJI", size=FULL)
+    cut(image(folder, "c.jpg"))
+    files = [folder / f"{name}.jpg" for name in "abc"]
+    result = run("locate", *files, *GROUND, "--dem-sigma", "2", "--json")
     assert result.exit_code == 0, result.stderr
     return json.loads(result.stdout)
 
@@ -104,7 +109,19 @@ def test_each_image_is_located_as_it_is_alone(flight: pathlib.Path, located: dic
             assert numbers == pytest.approx({name: alone[name] for name in numbers}, rel=1e-6, abs=1e-8)
 
 
-def test_an_image_without_rtk_does_not_take_it_from_others(sure: dict) -> None:
+def test_an_image_without_rtk_does_not_take_it_from_others(flight: pathlib.Path) -> None:
+    observed = read_observations([flight / f"{name}.jpg" for name in "abc"], height_datum="ellipsoid")
+    for row, expected in enumerate(([3.0, 3.0, 5.0], [0.01, 0.02, 0.03])):
+        (sigma,) = [one.sigma for one in observed.at(row)[1] if isinstance(one, sources.Position)]
+        np.testing.assert_allclose(sigma, expected)
+    assert list(observed.unread) == [2]
+    (told,) = [sentence for kind, sentence in observed.assumed_errors if kind is sources.Position]
+    assert "Position sigma: 3, 3, 5 m" in told
+    assert told.endswith("(1 of 2 exposures)")
+
+
+@pytest.mark.slow
+def test_the_accuracy_of_an_image_without_rtk_is_its_own(sure: dict) -> None:
     a, b, c = sure["fixes"]
     slope = math.tan(math.radians(30.0)) * math.cos(
         math.radians(160.0)

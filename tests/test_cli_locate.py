@@ -10,6 +10,7 @@ import numpy as np
 import pyogrio
 import pyproj
 import pytest
+from support.command_files import prepare
 from support.drone_image_files import packet, write_image
 from support.miaoli import FRAMES, UNDULATION, Village
 from typer.testing import CliRunner
@@ -53,7 +54,9 @@ def as_json(*arguments: str | pathlib.Path) -> dict:
     return json.loads(result.stdout)
 
 
-def test_an_image_is_located_as_by_the_library(image: pathlib.Path) -> None:
+def test_an_image_is_located_as_by_the_library(tmp_path: pathlib.Path) -> None:
+    prepare(tmp_path, "DJI_0042.JPG")
+    image = tmp_path / "DJI_0042.JPG"
     told = as_json(image, *GROUND, "--pixel", "10,20", "--dem-sigma", "2")
     (row,) = told["fixes"]
     found = with_usual_errors(read_acquisition(image, height_datum="ellipsoid"))
@@ -70,6 +73,14 @@ def test_an_image_is_located_as_by_the_library(image: pathlib.Path) -> None:
     assert "Position sigma: 3, 3, 5 m" in sentences
     assert "--gimbal-sigma" in sentences
     assert "--dem-sigma" not in sentences, "it was given"
+
+
+def test_the_table_on_the_screen_fits_and_says_the_status(tmp_path: pathlib.Path) -> None:
+    prepare(tmp_path, "DJI_0042.JPG")
+    result = run(tmp_path / "DJI_0042.JPG", *GROUND, "--dem-sigma", "2", "--pixel", "10,10", "--pixel=-10,10")
+    assert result.exit_code == 0, result.stderr
+    assert "outside_image" in result.stdout
+    assert "hit" in result.stdout
 
 
 @pytest.mark.slow

@@ -92,7 +92,8 @@ def difference(function, x: np.ndarray, inputs: np.ndarray, step: np.ndarray) ->
     shifts = np.zeros((inputs.size, x.size))
     shifts[np.arange(inputs.size), inputs] = step
     points = np.concatenate([shifts, -shifts, 2.0 * shifts, -2.0 * shifts]) + x
-    values = np.asarray(jax.jit(lambda points: jax.lax.map(function, points))(jnp.asarray(points)))
+    of_one = jax.jit(function)
+    values = np.stack([of_one(point) for point in points])
     near_ahead, near_behind, far_ahead, far_behind = values.reshape(4, inputs.size, *values.shape[1:])
     width = step.reshape(-1, *[1] * (values.ndim - 1))
     return (8.0 * (near_ahead - near_behind) - (far_ahead - far_behind)) / (12.0 * width)
@@ -243,31 +244,41 @@ def test_a_gimbal_in_local_level_moves_the_hit_by_its_own_angles():
     assert np.linalg.norm(by_yaw) > 50.0
 
 
-@pytest.mark.parametrize("point", [(np.nan, 0.2, 100.0), (0.8, np.nan, 100.0), (0.8, 0.2, np.inf), (-0.8, 0.2, 100.0)])
-def test_the_gradient_of_a_projection_is_finite_whatever_the_point_is(over_terrain, point):  # noqa: F811
+@pytest.fixture(scope="module")
+def gradient_of_projection(over_terrain):  # noqa: F811
     sensor, shot, _ = over_terrain
 
     def seen(point):
         projection = jaxgeo.project(sensor, shot, point)
         return jnp.sum(jnp.where(projection.ok, projection.uv, 0.0)), projection.status
 
-    where = jaxgeo.Geodetic(**dict(zip(("lat", "lon", "height"), map(jnp.asarray, point), strict=True)))
-    gradient, status = jax.jit(jax.grad(seen, has_aux=True))(where)
+    return jax.jit(jax.grad(seen, has_aux=True))
+
+
+@pytest.mark.parametrize("point", [(np.nan, 0.2, 100.0), (0.8, np.nan, 100.0), (0.8, 0.2, np.inf), (-0.8, 0.2, 100.0)])
+def test_the_gradient_of_a_projection_is_finite_whatever_the_point_is(gradient_of_projection, point):
+    where = jaxgeo.Geodetic(**dict(zip(("lat", "lon", "height"), map(np.asarray, point), strict=True)))
+    gradient, status = gradient_of_projection(where)
     assert (int(status) == Status.invalid_input) == (not np.all(np.isfinite(point)))
     assert int(status) != Status.hit
     assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(gradient))
 
 
-@pytest.mark.parametrize("uv, distance", [((1e5, 1e5), 500.0), ((np.nan, 0.0), 500.0), ((2000.0, 1500.0), np.inf)])
-def test_the_gradient_at_a_range_is_finite_whatever_fails(over_terrain, uv, distance):  # noqa: F811
+@pytest.fixture(scope="module")
+def gradient_at_range(over_terrain):  # noqa: F811
     sensor, shot, _ = over_terrain
 
     def height(shot, uv, distance):
         fix = jaxgeo.at_range(sensor, shot, uv, distance)
         return jnp.where(fix.ok, fix.position.height, 0.0)
 
-    as_float = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), shot)
-    gradient = jax.jit(jax.grad(height, argnums=(0, 1, 2)))(as_float, jnp.array(uv), jnp.asarray(distance))
+    as_float = jax.tree.map(lambda x: np.asarray(x, np.float64), shot)
+    return functools.partial(jax.jit(jax.grad(height, argnums=(0, 1, 2))), as_float)
+
+
+@pytest.mark.parametrize("uv, distance", [((1e5, 1e5), 500.0), ((np.nan, 0.0), 500.0), ((2000.0, 1500.0), np.inf)])
+def test_the_gradient_at_a_range_is_finite_whatever_fails(gradient_at_range, uv, distance):
+    gradient = gradient_at_range(np.array(uv), np.asarray(distance))
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 

@@ -14,27 +14,37 @@ import pytest
 HEAVY = ["rasterio", "pyproj", "pyogrio", "shapely", "matplotlib", "optimistix", "lineax", "typer", "pydantic", "rich"]
 
 
-def in_fresh_python(code: str) -> str:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+IMPORTED = """
+import json, sys, jax
+before = dict(jax.config.values)
+import jaxgeo
+told = {"modules": sorted(sys.modules), "settings are the same": before == dict(jax.config.values)}
+jaxgeo.io.read_dem
+told["rasterio on demand"] = "rasterio" in sys.modules
+jaxgeo.plot.hillshade
+print(json.dumps(told))
+"""
+
+
+@pytest.fixture(scope="module")
+def imported() -> dict:
+    """What a fresh process tells after its import of jaxgeo."""
+    done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return json.loads(done.stdout)
 
 
-def test_import_loads_nothing_heavy() -> None:
-    loaded = json.loads(in_fresh_python("import sys, json, jaxgeo; print(json.dumps(sorted(sys.modules)))"))
-    assert [name for name in HEAVY if name in loaded] == []
+def test_import_loads_nothing_heavy(imported: dict) -> None:
+    assert "jaxgeo" in imported["modules"]
+    assert [name for name in HEAVY if name in imported["modules"]] == []
 
 
-def test_import_leaves_jax_settings_alone() -> None:
-    code = "import jax; before = dict(jax.config.values); import jaxgeo; print(before == dict(jax.config.values))"
-    assert in_fresh_python(code).strip() == "True"
+def test_import_leaves_jax_settings_alone(imported: dict) -> None:
+    assert imported["settings are the same"]
 
 
-def test_submodules_come_on_demand() -> None:
-    code = (
-        "import sys, jaxgeo; jaxgeo.io.read_dem; assert 'rasterio' in sys.modules; jaxgeo.plot.hillshade; print('ok')"
-    )
-    assert in_fresh_python(code).strip() == "ok"
+def test_submodules_come_on_demand(imported: dict) -> None:
+    assert imported["rasterio on demand"]
 
 
 @pytest.mark.parametrize("name", ["atlantis", "intersects"])

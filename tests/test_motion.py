@@ -107,8 +107,23 @@ SCENES = {
         ground(20.0, 80.0),
     ),
 }
-located = jax.jit(jax.vmap(lambda s, m, uv, t: locate(s, m, uv, t, time=START), (None, None, 0, None)))
-projected = jax.jit(jax.vmap(lambda s, m, p: project(s, m, p, time=START), (None, None, 0)))
+
+
+def one_by_one(function, items):
+    """Results of `function` for each item, stacked; single calls compile in half the time of a batch."""
+    count = len(jax.tree.leaves(items)[0])
+    found = [function(jax.tree.map(lambda x, k=k: np.asarray(x)[k], items)) for k in range(count)]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+
+
+def located(sensor, flight, uv, terrain):
+    return one_by_one(lambda pixel: locate(sensor, flight, pixel, terrain, time=START), uv)
+
+
+def projected(sensor, flight, points):
+    return one_by_one(lambda point: project(sensor, flight, point, time=START), points)
+
+
 projected_over = jax.jit(jax.vmap(lambda s, m, p, t: project(s, m, p, time=START, terrain=t), (None, None, 0, None)))
 
 

@@ -15,20 +15,19 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import Atmosphere, ConstantHeight, ErrorModel, Exposure, Observation, coverage, uncertainty
-from jaxgeo.uncertainty import sources
+from jaxgeo import Atmosphere, Exposure, Observation, coverage, uncertainty
+from jaxgeo.observation import accepts_observation
+from tests.support import looks
 
-CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
-SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
-POSE = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=2720.0)
-SHOT = jaxgeo.Shot(POSE, SENSOR.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
-POSES = jaxgeo.Pose.from_degrees(lat=np.array([47.0, 47.001]), lon=np.full(2, 11.0), height=np.full(2, 2720.0))
+SENSOR, SHOT, GROUND, ERRORS = looks.level_sensor(), looks.level_shot(), looks.LEVEL, looks.level_errors()
+POSE = SHOT.pose
+POSES = jaxgeo.Pose.from_degrees(
+    lat=np.array([47.0, 47.001]), lon=np.full(2, 11.0), height=np.full(2, 3100.0), heading=160.0, pitch=3.0
+)
 FLIGHT = jaxgeo.Trajectory.from_knots(np.array([0.0, 4.0]), POSES, np.stack([SHOT.gimbal_readings] * 2))
-UV = np.array([1500.0, 1200.0])
-GROUND = ConstantHeight(600.0)
+UV = np.array(looks.LEVEL_UV)
 AIR = Atmosphere()
-ERRORS = ErrorModel((sources.Position.from_ned(north=3.0, east=3.0, down=5.0),))
-POINT = jaxgeo.Geodetic.from_degrees(lat=47.015, lon=11.012, height=600.0)
+POINT = jaxgeo.Geodetic.from_degrees(lat=46.98, lon=10.938, height=100.0)
 
 EXPOSURES = {
     "shot": (Exposure(SENSOR, SHOT), (SENSOR, SHOT), {}),
@@ -49,6 +48,7 @@ MORE = {
     "sigma_points": (uncertainty.sigma_points, (GROUND, ERRORS), {}),
     "gauss_helmert": (uncertainty.gauss_helmert, (GROUND, ERRORS), {}),
 }
+LONG = {"propagate", "accuracy without samples"}
 OF_EXPOSURE = {"project": (jaxgeo.project, (POINT,), {})}
 AIMING = {
     "point_gimbal": (coverage.point_gimbal, {"target": POINT}),
@@ -64,7 +64,28 @@ def same(one: object, other: object) -> None:
 
 
 @pytest.mark.parametrize("kind", EXPOSURES)
-@pytest.mark.parametrize("name", [*OF_OBSERVATION, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)])
+def test_an_observation_is_taken_apart(kind: str) -> None:
+    """The function below gets what stands for an observation; real ones are compared by their results."""
+
+    @accepts_observation
+    def given(sensor, shot, uv, terrain, *, sampling=None, time=None, atmosphere=None):
+        return (sensor, shot, uv, terrain), {"sampling": sampling, "time": time, "atmosphere": atmosphere}
+
+    exposure, parts, moment = EXPOSURES[kind]
+    positional, named = given(Observation(exposure, UV), GROUND, sampling="drawn")
+    assert all(one is other for one, other in zip(positional, (*parts, UV, GROUND), strict=True))
+    assert named == {"sampling": "drawn", "time": None, "atmosphere": None} | moment
+
+
+# Compiled for a shot alone, the others are for the slow run: what an observation is taken apart into is tested above.
+COMPILED = [
+    pytest.param(name, kind, marks=[pytest.mark.slow] if name in MORE or (name in LONG and kind != "shot") else [])
+    for name in (*OF_OBSERVATION, *MORE)
+    for kind in EXPOSURES
+]
+
+
+@pytest.mark.parametrize("name, kind", COMPILED)
 def test_an_observation_stands_for_sensor_shot_and_pixel(name: str, kind: str) -> None:
     function, rest, named = (OF_OBSERVATION | MORE)[name]
     exposure, parts, moment = EXPOSURES[kind]
@@ -100,15 +121,12 @@ def test_locate_and_project_are_inverse() -> None:
 
 
 def test_a_batch_of_observations_under_vmap() -> None:
-    exposure = Exposure(SENSOR, SHOT)
-    pixels = jnp.array([[1500.0, 1200.0], [100.0, 2900.0], [3999.0, 0.0]])
-    one_image = jax.vmap(lambda uv: jaxgeo.locate(Observation(exposure, uv), GROUND).ecef)(pixels)
+    pixels = jnp.array([[1200.0, 1600.0], [100.0, 3100.0], [2399.0, 0.0]])
     headings = jnp.array([0.0, 0.1, 0.2])
     shots = jax.vmap(lambda h: dataclasses.replace(SHOT, pose=dataclasses.replace(POSE, heading=h)))(headings)
     sensors = jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x), (3, *jnp.shape(x))), SENSOR)
     batch = Observation(Exposure(sensors, shots), pixels)
     many = jax.vmap(lambda one: jaxgeo.locate(one, GROUND).ecef)(batch)
-    np.testing.assert_allclose(many[0], one_image[0], atol=1e-6)
     for k in range(3):
         shot = jax.tree.map(lambda x, k=k: x[k], shots)
         np.testing.assert_allclose(many[k], jaxgeo.locate(SENSOR, shot, pixels[k], GROUND).ecef, atol=1e-6)

@@ -173,8 +173,15 @@ def loky(**how: Any) -> concurrent.futures.Executor:
     return LokyExecutor(1, **how)
 
 
-@pytest.mark.parametrize("pool", [spawned, loky])
-@pytest.mark.parametrize("way", ["environment", "initializer"])
+@pytest.mark.parametrize(
+    "pool, way",
+    [
+        (spawned, "environment"),
+        (loky, "initializer"),
+        pytest.param(spawned, "initializer", marks=pytest.mark.slow),
+        pytest.param(loky, "environment", marks=pytest.mark.slow),
+    ],
+)
 def test_worker_processes_get_all_digits(pool: Any, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("JAX_ENABLE_X64", raising=False)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
@@ -216,13 +223,23 @@ def test_a_process_of_its_own_and_a_pool_run_from_the_first_task(nobody_says: No
     process.join()
 
 
-@pytest.mark.parametrize("pool", [spawned, loky])
-@pytest.mark.parametrize("why", ["it has computed in them", "the environment says so"])
+COMPUTED, STATED = "it has computed in them", "the environment says so"
+
+
+@pytest.mark.parametrize(
+    "pool, why",
+    [
+        (spawned, COMPUTED),
+        (loky, STATED),
+        pytest.param(spawned, STATED, marks=pytest.mark.slow),
+        pytest.param(loky, COMPUTED, marks=pytest.mark.slow),
+    ],
+)
 def test_workers_that_are_meant_to_have_32_bits_say_so(
     pool: Any, why: str, nobody_says: None, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
     how: dict[str, Any] = {"initializer": compute_in_32_bits}
-    if why == "the environment says so":
+    if why == STATED:
         monkeypatch.setenv("JAX_ENABLE_X64", "0")
         how = {}
     with pytest.raises(Exception, match=r"terminated|un-serialize") as failure:

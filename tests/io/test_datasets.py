@@ -11,21 +11,21 @@ import pyproj
 import pytest
 from rasterio.transform import Affine
 
-import jaxgeo
-from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, Status
+from jaxgeo import Geodetic, Status
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
 from jaxgeo.io.map_raster import MapRaster
-from jaxgeo.uncertainty import AccuracyMap, ErrorModel, Method, accuracy, sample, sources
+from jaxgeo.uncertainty import AccuracyMap, Method, accuracy, sample
+from tests.support import looks
 
 xarray = pytest.importorskip("xarray")
 
-CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3000.0, width=601, height=601)
-SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
-GROUND = ConstantHeight(100.0)
-SHOT = Shot(
-    Pose.from_degrees(lat=47.0, lon=10.98024, height=900.0), SENSOR.gimbal.readings_from_degrees(outer=62.0, inner=0.0)
+SENSOR, SHOT, UV, GROUND, MODEL = (
+    looks.level_sensor(),
+    looks.level_shot(),
+    looks.LEVEL_UV,
+    looks.LEVEL,
+    looks.level_errors(),
 )
-MODEL = ErrorModel((sources.Attitude.from_degrees(heading=0.03, pitch=0.03, roll=0.03),))
 UTM = MapRaster(pyproj.CRS("EPSG:32632"), Affine(10.0, 0.0, 650_000.0, 0.0, -20.0, 5_207_000.0), (2, 3))
 DEGREES = MapRaster(pyproj.CRS("EPSG:4326"), Affine(0.1, 0.0, 11.0, 0.0, -0.2, 47.0), (2, 3))
 
@@ -33,9 +33,9 @@ DEGREES = MapRaster(pyproj.CRS("EPSG:4326"), Affine(0.1, 0.0, 11.0, 0.0, -0.2, 4
 @pytest.fixture(scope="module")
 def found() -> AccuracyMap:
     """Of two rows of three pixels, the last of which lies beside the image."""
-    u, v = np.meshgrid([100.0, 300.0, 700.0], [200.0, 400.0])
+    u, v = np.meshgrid([100.0, 1200.0, 2800.0], [200.0, 400.0])
     uv = np.stack([u, v], axis=-1)
-    each = accuracy(SENSOR, SHOT, uv, GROUND, MODEL, probability=0.8)
+    each = accuracy(SENSOR, SHOT, uv, GROUND, MODEL, probability=0.8, block=1)
     return AccuracyMap(each, each.fix.position, uv)
 
 
@@ -100,7 +100,7 @@ def test_places_along_a_line_have_one_dimension(found: AccuracyMap) -> None:
 
 @pytest.mark.slow
 def test_samples_come_with_their_moments() -> None:
-    drawn = sample(SENSOR, SHOT, (300.0, 300.0), GROUND, MODEL, key=jax.random.key(1), count=64, keep=True)
+    drawn = sample(SENSOR, SHOT, UV, GROUND, MODEL, key=jax.random.key(1), count=64, keep=True)
     told = samples_dataset(drawn)
     assert told["error"].dims == ("sample", "axis")
     assert told["axis"].to_numpy().tolist() == ["east", "north", "up"]
@@ -111,6 +111,6 @@ def test_samples_come_with_their_moments() -> None:
     assert isinstance(place, Geodetic)
     assert float(told["latitude"]) == pytest.approx(float(np.rad2deg(place.lat)), abs=1e-12)
     assert set(told["status"].to_numpy()) == {Status.hit}
-    not_kept = sample(SENSOR, SHOT, (300.0, 300.0), GROUND, MODEL, key=jax.random.key(1), count=64)
+    not_kept = sample(SENSOR, SHOT, UV, GROUND, MODEL, key=jax.random.key(1), count=64)
     with pytest.raises(ValueError, match="were not kept"):
         samples_dataset(not_kept)

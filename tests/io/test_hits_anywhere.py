@@ -97,6 +97,9 @@ def rays_over(lon: float, lat: float) -> tuple[np.ndarray, np.ndarray]:
     return target - reach[:, None] * direction, direction
 
 
+intersect_all = jax.jit(jax.vmap(jaxgeo.intersect, in_axes=(0, None)))
+
+
 @pytest.mark.parametrize("place", [pytest.param(p, marks=pytest.mark.slow) if p in SLOW else p for p in PLACES])
 def test_the_first_hit_is_the_same_wherever_the_file_lies(tmp_path, place):
     crs, (x, y), (across, along) = PLACES[place]
@@ -105,9 +108,7 @@ def test_the_first_hit_is_the_same_wherever_the_file_lies(tmp_path, place):
     dem = jaxgeo.io.read_dem(path, vertical_datum="ellipsoid")
     march = March(crs, affine)
     origin, direction = rays_over(*march.place())
-    fix = jax.jit(jax.vmap(jaxgeo.intersect, in_axes=(0, None)))(
-        jaxgeo.Ray(jnp.asarray(origin), jnp.asarray(direction)), dem
-    )
+    fix = intersect_all(jaxgeo.Ray(jnp.asarray(origin), jnp.asarray(direction)), dem)
     expected = [march.first_hit(o, d) for o, d in zip(origin, direction, strict=True)]
     assert np.all(fix.found)
     np.testing.assert_allclose(

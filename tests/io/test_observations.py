@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pathlib
 
 import jax
@@ -13,6 +14,8 @@ import jaxgeo
 from jaxgeo import ConstantHeight, Observation, Status, locate
 from jaxgeo.earth import Atmosphere
 from jaxgeo.io import (
+    ObservationBatch,
+    Observations,
     TableError,
     accuracy_of_observations,
     locate_observations,
@@ -28,7 +31,7 @@ from jaxgeo.uncertainty.sources import Attitude, GimbalAngles, InteriorOrientati
 
 PIXELS = [(10.0, 20.0), (3000.0, 2000.0)]
 HOW = {"height_datum": "ellipsoid"}
-GROUND = ConstantHeight(300.0)
+GROUND = ConstantHeight(np.asarray(300.0))
 
 
 @pytest.fixture
@@ -63,18 +66,39 @@ def test_the_centre_is_observed_by_default(folder) -> None:
 
 
 def test_fixes_are_those_of_locate_exposure_by_exposure(folder) -> None:
-    observed = read_observations(["images", "flight.klv"], PIXELS[:1], **HOW)
-    fixes = locate_observations(observed, GROUND)
-    for row in range(len(observed)):
+    """Over one terrain per batch, which may have a height per pixel."""
+    observed = read_observations(["flight.klv", "images"], PIXELS[:1], **HOW)
+    reported = [batch.centre_heights for batch in observed.batches]
+    assert reported[1] is None
+    assert np.isfinite(reported[0]).all()
+    heights = reported[0] + np.arange(2.0)
+    grounds = [ConstantHeight(heights), GROUND]
+    fixes = locate_observations(observed, grounds)
+    np.testing.assert_allclose(fixes.position.height, [*heights, 300.0, 300.0], rtol=0.0, atol=1e-6)
+    for row, height in enumerate([*heights, 300.0, 300.0]):
         observation, _ = observed.at(row)
         assert isinstance(observation, Observation)
-        one = locate(observation, GROUND)
+        one = locate(observation, ConstantHeight(np.asarray(height)))
         np.testing.assert_allclose(fixes.ecef[row], one.ecef, rtol=0.0, atol=1e-6)
         assert fixes.status[row] == one.status
         np.testing.assert_allclose(observed.position.lat[row], observation.exposure.motion.pose.position.lat)
+    with pytest.raises(ValueError, match="zip"):
+        locate_observations(observed, grounds[:1])
 
 
 def test_axes_are_those_of_vmap(folder) -> None:
+    for observed in (read_observations("scene.toml", PIXELS), read_observations("images", **HOW)):
+        (batch,) = observed.batches
+        leaves = jax.vmap(jax.tree.leaves, in_axes=(batch.in_axes,))(batch.observation)
+        for index in range(len(batch)):
+            alone = jax.tree.leaves(batch.at(index)[0])
+            assert len(leaves) == len(alone)
+            for one, other in zip(leaves, alone, strict=True):
+                np.testing.assert_array_equal(one[index], other)
+
+
+@pytest.mark.slow
+def test_locate_is_mapped_over_the_axes(folder) -> None:
     for observed in (read_observations("scene.toml", PIXELS), read_observations("images", **HOW)):
         (batch,) = observed.batches
         fixes = jax.vmap(locate, in_axes=(batch.in_axes, None))(batch.observation, GROUND)
@@ -118,19 +142,8 @@ def test_parts_of_a_batch_are_the_whole(folder) -> None:
     assert [len(part.status) for part in parts] == [1024, 476]
     whole = locate_observations(observed, GROUND)
     np.testing.assert_array_equal(np.concatenate([part.slant_range for part in parts]), whole.slant_range)
-
-
-def test_one_terrain_per_batch_may_have_a_height_per_pixel(folder) -> None:
-    observed = read_observations(["flight.klv", "images"], **HOW)
-    heights = [batch.centre_heights for batch in observed.batches]
-    assert heights[1] is None
-    assert np.isfinite(heights[0]).all()
-    grounds = [ConstantHeight(heights[0] + np.arange(2.0)), ConstantHeight(np.asarray(310.0))]
-    fixes = locate_observations(observed, grounds)
-    np.testing.assert_allclose(fixes.position.height[:2], heights[0] + np.arange(2.0), rtol=0.0, atol=1e-6)
-    np.testing.assert_allclose(fixes.position.height[2:], 310.0, rtol=0.0, atol=1e-6)
-    with pytest.raises(ValueError, match="zip"):
-        locate_observations(observed, grounds[:1])
+    alone = locate_observations(read_observations("scene.toml", pixels[1499]), GROUND)
+    np.testing.assert_allclose(alone.ecef[0], whole.ecef[1499], rtol=0.0, atol=1e-6)
 
 
 def test_errors_are_of_the_file_then_usual_ones(folder) -> None:
@@ -148,14 +161,27 @@ def test_errors_are_of_the_file_then_usual_ones(folder) -> None:
 
 
 def test_accuracy_is_that_of_each_observation(folder) -> None:
-    observed = read_observations(["broken.JPG", "images", "flight.klv"], **HOW).add_sources(
-        TerrainHeight.from_metres(5.0)
-    )
+    """In two batches of one form, so that one program is compiled; the last row comes first."""
+    observed = read_observations(["broken.JPG", "DJI_0042.JPG"], PIXELS, **HOW)
+    observed = observed.add_sources(TerrainHeight.from_metres(5.0))
+    (batch,) = observed.batches
+    halves = tuple(ObservationBatch(*batch.at(np.array([k])), batch.rows[[k]]) for k in (1, 0))
+    is_accuracy_of_each(dataclasses.replace(observed, batches=halves), rows=(1, 2))
+
+
+@pytest.mark.slow
+def test_accuracy_of_images_and_telemetry_is_that_of_each(folder) -> None:
+    observed = read_observations(["broken.JPG", "images", "flight.klv"], **HOW)
+    is_accuracy_of_each(observed.add_sources(TerrainHeight.from_metres(5.0)), rows=(1, 3))
+
+
+def is_accuracy_of_each(observed: Observations, rows: tuple[int, ...]) -> None:
+    """Assert that some rows have the accuracy of their observation alone; the first file could not be read."""
     fixes = locate_observations(observed, GROUND)
     found = accuracy_of_observations(observed, GROUND, fixes, probability=0.5)
     assert found is not None
     assert np.isnan(found.circular[0])
-    for row in (1, 3):
+    for row in rows:
         observation, sources = observed.at(row)
         one = accuracy(observation, GROUND, sources, probability=0.5)
         np.testing.assert_allclose(found.circular[row], float(one.circular), rtol=1e-9)

@@ -8,25 +8,24 @@ import pytest
 import rasterio
 
 import jaxgeo
-from jaxgeo import ConstantHeight, Pose, Shot, Status
+from jaxgeo import Pose, Shot, Status
 from jaxgeo.io import write_accuracy_map
 from jaxgeo.uncertainty import NO_FIX, Method, sources
+from tests.support import looks
 from tests.support.scenes import rough, small_dem
 
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3000.0, width=601, height=601)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
 POSE = Pose.from_degrees(lat=47.0, lon=10.98024, height=900.0)
-SHOT = Shot(POSE, SENSOR.gimbal.readings_from_degrees(outer=62.0, inner=0.0))
 MODEL = (sources.Attitude.from_degrees(heading=0.03, pitch=0.03, roll=0.03), sources.TerrainHeight.from_metres(2.0))
-LEVEL = ConstantHeight(100.0)
-SCENE = (SENSOR, SHOT, LEVEL, MODEL)
+SCENE = (looks.level_sensor(), looks.level_shot(), looks.LEVEL, looks.level_errors())
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """A map in UTM of a part of what the image sees and some more, and what comes back from the file."""
     path = tmp_path_factory.mktemp("maps") / "accuracy.tif"
-    place = {"crs": "EPSG:32632", "bounds": (651_500.0, 5_207_000.0, 652_600.0, 5_207_470.0), "resolution": 100.0}
+    place = {"crs": "EPSG:32632", "bounds": (645_000.0, 5_204_000.0, 646_100.0, 5_204_470.0), "resolution": 100.0}
     found = write_accuracy_map(path, *SCENE, **place, probability=0.5, block=8)
     with rasterio.open(path) as data:
         return found, data.read(), data.profile, data.descriptions, data.units, data.tags()
@@ -60,7 +59,9 @@ def test_bands_are_the_map(written) -> None:
 
 @pytest.mark.slow
 def test_the_image_fills_the_map_that_was_made_for_it(tmp_path) -> None:
-    found = write_accuracy_map(tmp_path / "a.TIFF", *SCENE, resolution=50.0, block=64)
+    shot = Shot(POSE, SENSOR.gimbal.readings_from_degrees(outer=62.0, inner=0.0))
+    scene = (SENSOR, shot, looks.LEVEL, MODEL)
+    found = write_accuracy_map(tmp_path / "a.TIFF", *scene, resolution=50.0, block=64)
     with rasterio.open(tmp_path / "a.TIFF") as data:
         assert data.crs.to_epsg() == 32632
         seen = data.read(4) == Status.hit
@@ -71,7 +72,7 @@ def test_the_image_fills_the_map_that_was_made_for_it(tmp_path) -> None:
 
 def test_a_cloud_optimised_map_holds_the_same(tmp_path, written) -> None:
     """Tiled, laid out as a COG and said to be one, with the same numbers, place, names and tags."""
-    place = {"crs": "EPSG:32632", "bounds": (651_500.0, 5_207_000.0, 652_600.0, 5_207_470.0), "resolution": 100.0}
+    place = {"crs": "EPSG:32632", "bounds": (645_000.0, 5_204_000.0, 646_100.0, 5_204_470.0), "resolution": 100.0}
     write_accuracy_map(tmp_path / "a.tif", *SCENE, **place, probability=0.5, block=8, cog=True)
     _, bands, profile, descriptions, units, tags = written
     with rasterio.open(tmp_path / "a.tif") as data:
@@ -107,7 +108,7 @@ def test_tags_say_what_codes_mean(written) -> None:
     ],
 )
 def test_what_cannot_be_written_is_refused_at_once(tmp_path, change: dict, error: type, message: str) -> None:
-    given = {"path": "map.tif", "sensor": SENSOR, "shot": SHOT, "terrain": LEVEL, "errors": MODEL, **change}
+    given = dict(zip(("sensor", "shot", "terrain", "errors"), SCENE, strict=True)) | {"path": "map.tif"} | change
     given["path"] = tmp_path / given["path"]
     with pytest.raises(error, match=message):
         write_accuracy_map(**given)

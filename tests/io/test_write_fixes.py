@@ -17,11 +17,12 @@ import shapely
 from pyogrio import raw
 
 import jaxgeo
-from jaxgeo import ConstantHeight, Fix, Pose, Shot, Status
+from jaxgeo import Fix, Status
 from jaxgeo.io import VerticalDatumError, _fix_columns, _map_crs
 from jaxgeo.io.fix_files import write_fixes
-from jaxgeo.uncertainty import ErrorModel, accuracy, sources
+from jaxgeo.uncertainty import accuracy
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
+from tests.support import looks
 from tests.support.made_fixes import ALPS, DATE_LINE, LEVEL, made
 
 SUFFIXES = [".csv", ".geojson", ".JSON", ".gpkg", ".parquet"]
@@ -359,16 +360,8 @@ def test_ellipses_can_be_left_out(tmp_path: pathlib.Path) -> None:
     assert layer(path, "fixes")[2][0]["semi_major_m"] > 0.0
 
 
-CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3000.0, width=601, height=601)
-SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
-GROUND = ConstantHeight(100.0)
-SHOT = Shot(
-    Pose.from_degrees(lat=47.0, lon=10.98024, height=900.0), SENSOR.gimbal.readings_from_degrees(outer=62.0, inner=0.0)
-)
-MODEL = ErrorModel(
-    (sources.Attitude.from_degrees(heading=0.03, pitch=0.03, roll=0.03), sources.TerrainHeight.from_metres(2.0))
-)
-UV = np.array([[300.0, 300.0], [-900.0, 300.0]])
+SENSOR, SHOT, GROUND, MODEL = looks.level_sensor(), looks.level_shot(), looks.LEVEL, looks.level_errors()
+UV = np.array([looks.LEVEL_UV, [-900.0, 300.0]])
 
 
 @pytest.fixture(scope="module")
@@ -384,7 +377,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     told = accuracy(SENSOR, SHOT, UV[0], GROUND, MODEL, probability=0.8)
     write_fixes(path, located, accuracy=[told, None], crs="EPSG:32632")
     rows, points, (ellipse,) = read(path)
-    assert [row["ce80_m"] for row in rows] == pytest.approx([told.circular, np.nan], abs=1e-4, nan_ok=True)
+    assert [row["ce80_m"] for row in rows] == pytest.approx([float(told.circular), np.nan], abs=1e-4, nan_ok=True)
     assert rows[0]["accuracy_method"] == told.words
     assert rows[0]["accuracy_text"] == told.because
     assert unknown(rows[1]["accuracy_text"])
@@ -392,10 +385,10 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     assert layer(path, "ellipses")[2][0]["kind"] == "ellipse"
     area = -2.0 * np.log(0.2) * np.pi * np.sqrt(np.linalg.det(told.cov_enu[:2, :2]))
     assert ellipse.area == pytest.approx(area, rel=3e-3)
-    everywhere = accuracy(SENSOR, SHOT, UV, GROUND, MODEL, probability=0.8)
+    everywhere = accuracy(SENSOR, SHOT, UV, GROUND, MODEL, probability=0.8, block=1)
     write_fixes(path, located, accuracy=everywhere, crs="EPSG:32632")
     rows, _, (another,) = read(path)
-    assert [row["ce80_m"] for row in rows] == pytest.approx([told.circular, np.nan], abs=1e-4, nan_ok=True)
+    assert [row["ce80_m"] for row in rows] == pytest.approx([float(told.circular), np.nan], abs=1e-4, nan_ok=True)
     assert layer(path, "ellipses")[2][0]["kind"] == "ellipse"
     assert another.area == pytest.approx(area, rel=3e-3)
     with pytest.raises(ValueError, match=r"accuracy is of a batch of the shape \(2,\), fixes of 1"):
@@ -405,7 +398,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     for other in (everywhere, [told, None]):
         with pytest.raises(ValueError, match=r"accuracy 0 is of another place than fix 0, 1\.11 m off"):
             write_fixes(path, off, accuracy=other)
-    with pytest.raises(ValueError, match=r"told with a probability of 0\.8, but 0\.9 is asked for"):
+    with pytest.raises(ValueError, match=r"accuracy has a probability of 0\.8, but 0\.9 is asked for"):
         write_fixes(path, located, accuracy=[told, None], probability=0.9)
     assert len(read(path)[0]) == 2
 
@@ -415,7 +408,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
 )
 def test_an_infinite_radius_is_no_number_where_there_is_none(tmp_path, located: Fix, suffix: str, written: Any) -> None:
     """Too many samples have failed: the radius is not left looking unknown where a format can say infinite."""
-    told = accuracy(SENSOR, SHOT, UV, GROUND, MODEL)
+    told = accuracy(SENSOR, SHOT, UV, GROUND, MODEL, block=1)
     object.__setattr__(told, "circular", np.array([np.inf, np.nan]))
     object.__setattr__(told, "cov_enu", np.full((2, 3, 3), np.nan))
     write_fixes(tmp_path / f"fixes{suffix}", located, accuracy=told)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -131,16 +133,21 @@ def level_shot(outer: float = 60.0) -> Shot:
     return Shot(pose, level_sensor().gimbal.readings_from_degrees(outer=outer, inner=5.0))
 
 
-def level_errors() -> ErrorModel:
-    """Independent angles and height, and a correlated block of position and pixel."""
-    place = sources.Position.from_ned(north=1.0, east=2.0, down=3.0)
-    pixel = sources.PixelMeasurement.from_pixels(column=4.0, row=2.0)
+def level_errors(scale: float = 1.0) -> ErrorModel:
+    """Independent angles and height, and a correlated block of position and pixel, `scale` times as large."""
+    place = sources.Position.from_ned(north=scale, east=2.0 * scale, down=3.0 * scale)
+    pixel = sources.PixelMeasurement.from_pixels(column=4.0 * scale, row=2.0 * scale)
     correlation = 0.6 * jnp.eye(5) + 0.4
     return ErrorModel(
         (
-            sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
-            sources.GimbalAngles.from_degrees(outer=0.02, inner=0.01),
+            sources.Attitude.from_degrees(heading=0.05 * scale, pitch=0.02 * scale, roll=0.03 * scale),
+            sources.GimbalAngles.from_degrees(outer=0.02 * scale, inner=0.01 * scale),
             sources.Correlated.of(place, pixel, correlation=correlation, sharing=PerImage()),
-            sources.TerrainHeight.from_metres(5.0),
+            sources.TerrainHeight.from_metres(5.0 * scale),
         )
     )
+
+
+def stacked(*items: Any) -> Any:
+    """Records of one class as one, with a leading axis; NumPy does it, so that nothing is compiled."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf, np.float64) for leaf in leaves]), *items)

@@ -30,11 +30,7 @@ def one() -> Accuracy:
 @pytest.fixture(scope="module")
 def many() -> Accuracy:
     sensor, shot, _, terrain, errors = SCENE
-    return accuracy(sensor, shot, PIXELS, terrain, errors, block=4)
-
-
-def stacked(tree, count: int):
-    return jax.tree.map(lambda leaf: np.stack([np.asarray(leaf)] * count), tree)
+    return accuracy(sensor, shot, PIXELS, terrain, errors, block=1)
 
 
 def test_every_field_of_one_fix_is_an_array(one: Accuracy) -> None:
@@ -80,18 +76,37 @@ def test_many_pixels_have_the_shape_of_the_pixels(one: Accuracy, many: Accuracy)
 def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(one: Accuracy, many: Accuracy) -> None:
     sensor, shot, _, terrain, errors = SCENE
 
+    def radii(pixels):
+        found = accuracy(sensor, shot, pixels, terrain, errors, sampling=None).circular
+        return found[0, 0], found
+
     def radius(uv):
         return accuracy(sensor, shot, uv, terrain, errors, sampling=None).circular
 
-    pixels = jnp.asarray(PIXELS)
-    np.testing.assert_allclose(jax.jit(radius)(pixels), many.circular, rtol=1e-9)
-    np.testing.assert_allclose(jax.vmap(radius)(pixels[0]), many.circular[0], rtol=1e-9)
-    slope, step = jax.grad(radius)(pixels[0, 0]), np.array([1.0, 0.0])  # px
-    numeric = (radius(pixels[0, 0] + step) - radius(pixels[0, 0] - step)) / 2.0
-    assert float(slope[0]) == pytest.approx(float(numeric), rel=1e-3)
+    assert jax.eval_shape(jax.vmap(radius), PIXELS[0]).shape == (2,)
+    (_, circular), slopes = jax.jit(jax.value_and_grad(radii, has_aux=True))(PIXELS)
+    np.testing.assert_allclose(circular, many.circular, rtol=1e-9)
+    step = np.array([1.0, 0.0])  # px
+    numeric = (radius(PIXELS[0, 0] + step) - radius(PIXELS[0, 0] - step)) / 2.0
+    assert float(slopes[0, 0, 0]) == pytest.approx(float(numeric), rel=1e-3)
+    assert np.count_nonzero(slopes) == 2
     none = accuracy(sensor, looks.level_shot(120.0), UV, terrain, errors, sampling=None)
     assert int(none.method) == NO_FIX
     assert str(none).startswith("No fix")
+
+
+@pytest.mark.slow
+def test_without_samples_one_pixel_is_mapped_and_derived(many: Accuracy) -> None:
+    sensor, shot, _, terrain, errors = SCENE
+
+    def radius(uv):
+        return accuracy(sensor, shot, uv, terrain, errors, sampling=None).circular
+
+    pixels = jnp.asarray(PIXELS[0])
+    np.testing.assert_allclose(jax.vmap(radius)(pixels), many.circular[0], rtol=1e-9)
+    slope, step = jax.grad(radius)(pixels[0]), np.array([1.0, 0.0])  # px
+    numeric = (radius(pixels[0] + step) - radius(pixels[0] - step)) / 2.0
+    assert float(slope[0]) == pytest.approx(float(numeric), rel=1e-3)
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap, jax.grad], ids=["jit", "vmap", "grad"])
@@ -104,10 +119,15 @@ def test_samples_under_a_transformation_are_refused_in_words(transform) -> None:
 
 def test_observations_with_a_leading_axis_are_many_exposures(one: Accuracy) -> None:
     sensor, shot, _, terrain, errors = SCENE
-    batch = Observation(Exposure(stacked(sensor, 2), stacked(shot, 2)), np.stack([UV, UV]))
-    found = accuracy(batch, terrain, errors, in_axes=(0, None, None))
-    same = accuracy(sensor, stacked(shot, 2), np.stack([UV, UV]), terrain, errors, in_axes=(None, 0, 0, None, None))
-    for each in (found, same):
+    pixels, grounds, models = np.stack([UV, UV]), looks.stacked(terrain, terrain), looks.stacked(errors, errors)
+    parts = looks.stacked(sensor, sensor), looks.stacked(shot, shot)
+    found = accuracy(Observation(Exposure(*parts), pixels), grounds, models, in_axes=(0, 0, 0))
+    same = accuracy(*parts, pixels, grounds, models, in_axes=(0, 0, 0, 0, 0))
+    with pytest.warns(DeprecationWarning, match="accuracy_of_each is now"):
+        old = uncertainty.accuracy_of_each(*parts, pixels, grounds, models, in_axes=(0, 0, 0, 0, 0), count=5)
+    assert (found.count, same.count, old.count) == (20_000, 20_000, 5)
+    for each in (found, same, old):
+        assert isinstance(each, Accuracy)
         np.testing.assert_allclose(each.circular, np.full(2, one.circular), rtol=1e-9)
         assert each[1].because == one.because
 
@@ -117,7 +137,7 @@ def test_a_fix_that_is_missing_is_raised_for_one_and_told_of_many() -> None:
     away = looks.level_shot(120.0)
     with pytest.raises(ValueError, match="cannot estimate accuracy, there is no fix"):
         accuracy(sensor, away, UV, terrain, errors)
-    found = accuracy(sensor, away, [UV], terrain, errors, block=4)
+    found = accuracy(sensor, away, [UV], terrain, errors, block=1)
     assert int(found.method[0]) == NO_FIX
     assert np.isnan(found.circular[0])
 
@@ -143,15 +163,12 @@ def test_old_functions_warn_and_give_the_record(one: Accuracy, many: Accuracy) -
     with pytest.warns(DeprecationWarning, match=r"assess is now jaxgeo.uncertainty.accuracy\(\.\.\., sampling=None\)"):
         found = [uncertainty.assess(*SCENE)]
     with pytest.warns(DeprecationWarning, match="accuracy_of_pixels is now"):
-        found.append(uncertainty.accuracy_of_pixels(*SCENE, block=4, count=0))
-    batch = (sensor, stacked(shot, 2), np.stack([UV, UV]), terrain, errors)
-    with pytest.warns(DeprecationWarning, match="accuracy_of_each is now"):
-        found.append(uncertainty.accuracy_of_each(*batch, count=5)[0])
+        found.append(uncertainty.accuracy_of_pixels(sensor, shot, PIXELS, terrain, errors, block=1, count=0)[0, 0])
     for each in found:
         assert isinstance(each, Accuracy)
         assert each.shape == ()
         assert float(each.circular) == pytest.approx(float(one.circular), rel=1e-9)
-    assert [each.count for each in found] == [0, 0, 5]
+    assert [each.count for each in found] == [0, 0]
 
 
 # Options of sampling.
@@ -191,7 +208,7 @@ def test_a_map_without_samples_keeps_its_figures_by_name() -> None:
     sensor, shot, _, terrain, errors = SCENE
     fix = jaxgeo.locate(sensor, shot, UV, terrain)
     places = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], fix.position)
-    found = accuracy_map(sensor, shot, terrain, errors, places, sampling=None, block=4)
+    found = accuracy_map(sensor, shot, terrain, errors, places, sampling=None, block=1)
     for name in (*RADII, "method", "failed", "count", "shape"):
         np.testing.assert_array_equal(getattr(found, name), getattr(found.accuracy, name))
     assert found.probability == 0.9

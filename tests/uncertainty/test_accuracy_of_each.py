@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from jaxgeo import ConstantHeight, Shot
-from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, Sampling, accuracy, sources
+from jaxgeo.uncertainty import NO_FIX, Accuracy, ErrorModel, Method, Sampling, accuracy, sources
+from tests.support import looks
 from tests.support.looks import UV, pose, sensor
 from tests.support.scenes import rough, small_dem
 
@@ -54,21 +55,34 @@ def test_each_is_as_sure_as_alone(dem, block: int) -> None:
     assert np.isnan(found.cov_enu[2]).all()
 
 
-def test_what_is_of_each_is_of_each() -> None:
+@pytest.fixture(scope="module")
+def of_each() -> Accuracy:
+    """Over level ground: one, twice the errors, higher ground, and errors so wide that they need samples."""
+    others = looks.level_errors(0.0).sources[1:]  # none, in the form that other tests compile
+    angles = (sources.Attitude.from_degrees(heading=one, pitch=one, roll=one) for one in (0.1, 0.2, 0.1, 30.0))
+    errors = looks.stacked(*(ErrorModel((attitude, *others)) for attitude in angles))
+    ground = looks.stacked(*(ConstantHeight(height) for height in (100.0, 100.0, 1600.0, 100.0)))
+    sensors, shots = (looks.stacked(*[one] * 4) for one in (looks.level_sensor(), looks.level_shot()))
+    uv = np.tile(looks.LEVEL_UV, (4, 1))
+    return accuracy(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0), sampling=None)
+
+
+def test_what_is_of_each_is_of_each(of_each: Accuracy) -> None:
     """Ground, errors and sensors of each: twice the errors, twice the radii; higher ground, less of them."""
-    shots, uv = jax.tree.map(lambda leaf: leaf[jnp.array([0, 0, 0])], batch())
-    sigma = jnp.deg2rad(jnp.array([0.1, 0.2, 0.1]))
-    errors = ErrorModel((jax.vmap(lambda one: sources.Attitude(jnp.full(3, one)))(sigma),))
-    ground = ConstantHeight(np.array([0.0, 0.0, 600.0]))
-    sensors = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *jnp.shape(leaf))), sensor())
-    found = accuracy(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0))
-    first, twice, higher = np.asarray(found.circular)
+    first, twice, higher = np.asarray(of_each.circular[:3])
     assert twice == pytest.approx(2.0 * first, rel=1e-6)
     assert 0.4 * first < higher < 0.6 * first
-    assert (np.asarray(found.method) == Method.facet).all()
+    assert (np.asarray(of_each.method[:3]) == Method.facet).all()
 
 
-def test_samples_that_are_not_drawn_leave_no_figures(dem) -> None:
+def test_samples_that_are_not_drawn_leave_no_figures(of_each: Accuracy) -> None:
+    assert int(of_each.method[3]) == Method.samples
+    assert np.isnan(of_each.circular[3])
+    assert np.isnan(of_each.cov_enu[3]).all()
+
+
+@pytest.mark.slow
+def test_samples_over_terrain_that_are_not_drawn_leave_no_figures(dem) -> None:
     shots, uv = batch()
     wide = ErrorModel((sources.Attitude.from_degrees(heading=3.0, pitch=3.0, roll=3.0),))
     found = accuracy(sensor(), shots, uv, dem, wide, in_axes=OF_SHOTS, sampling=None)

@@ -140,15 +140,20 @@ def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(
 def test_a_plumb_line_finds_the_heights_of_any_terrain() -> None:
     north = np.array([-611.0, -40.0, 0.0, 7.0, 815.0])
     lat = np.rad2deg(CENTRE.lat) + north / (math.radians(1.0) * 6.367e6)
-    places = Geodetic.from_degrees(lat=lat, lon=np.full(5, 8.0), height=np.zeros(5))
+    beside = 47.5
+    places = Geodetic.from_degrees(lat=np.append(lat, beside), lon=np.full(6, 8.0), height=np.zeros(6))
     narrow = tin_along(CENTRE, NORTH, ground("crest")[::-1, 0], half_width=300.0)  # m: its chords sag by 7 mm
-    found = jax.jit(jax.vmap(narrow.height_at))(places)
-    np.testing.assert_allclose(found, np.interp(north, NORTH, ground("crest")[::-1, 0]), rtol=0, atol=0.02)
-    beside = Geodetic.from_degrees(lat=47.5, lon=8.0, height=0.0)
-    assert np.isnan(narrow.height_at(beside))
     dem = tangent_dem(ground("crest"), SPACING, CENTRE)
-    plumb = jax.jit(jax.vmap(lambda place: height_by_plumb_line(dem, place)))(places)
-    np.testing.assert_allclose(plumb, jax.vmap(dem.height_at)(places), rtol=0, atol=1e-6)
+
+    @jax.jit
+    @jax.vmap
+    def heights(place):
+        return narrow.height_at(place), height_by_plumb_line(dem, place), dem.height_at(place)
+
+    found, plumb, expected = (np.asarray(one) for one in heights(places))
+    np.testing.assert_allclose(found[:-1], np.interp(north, NORTH, ground("crest")[::-1, 0]), rtol=0, atol=0.02)
+    assert np.isnan(found[-1])
+    np.testing.assert_allclose(plumb[:-1], expected[:-1], rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow
