@@ -19,6 +19,7 @@ from jaxgeo._checks import is_known
 
 ROWS = 1024  # items of a block under a `vmap` that is called directly
 MOST_ROWS = 16 * ROWS  # more items are a program of their own, which is quicker to run
+MOST_NUMBERS = 64  # of one argument of an item: the older emitter does not do with a height field for each
 T = TypeVar("T", bound=Callable[..., Any])
 
 
@@ -131,7 +132,7 @@ class Batches:
         axes = tuple(leaf.batch_dim if isinstance(leaf, jax.core.Tracer) else None for leaf in leaves)
         values = [leaf.val if isinstance(leaf, jax.core.Tracer) else leaf for leaf in leaves]
         count = traced[0].val.shape[traced[0].batch_dim]
-        if not 0 < count <= MOST_ROWS:
+        if not 0 < count <= MOST_ROWS or any(leaf.size > MOST_NUMBERS for leaf in traced):
             return None
         return lambda: _delivered(self._found(structure, axes, values, count), traced[0])
 

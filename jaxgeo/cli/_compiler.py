@@ -12,22 +12,19 @@ import sys
 from jaxgeo._program_cache import cache_folder, keep_programs
 from jaxgeo.cli._screen import working
 
-UNOPTIMISED = "--xla_backend_optimization_level=0"
+LITTLE = "--xla_backend_optimization_level=1"  # not 0, which with the older emitter may be wrong: see `quick_options`
 OLDER_EMITTER = "--xla_cpu_use_fusion_emitters=false"
-QUICK_TO_COMPILE = f"{UNOPTIMISED} {OLDER_EMITTER}"
-QUICK_TO_RUN = f"--xla_backend_optimization_level=1 {OLDER_EMITTER}"
 
 
-def compile_quickly(samples_of_field: bool = False, *, runs_long: bool = False) -> None:
-    """Halve compile time at the cost of run time, and cache the programs for later commands.
+def compile_quickly(samples_of_field: bool = False) -> None:
+    """Compile in less time at the cost of run time, and cache the programs for later commands.
 
     Call it before the first computation. Sampling a correlated height field with XLA's older, faster emitter takes more
-    memory than a machine has, so it uses the default one. A command that `runs_long` (minutes) gains from lightly
-    optimised programs. A version of XLA without these flags would abort, so a subprocess tries them first, once per
-    version. JAX compile settings in the environment are left unchanged.
+    memory than a machine has, so it uses the default one. A version of XLA without these flags would abort, so a
+    subprocess tries them first, once per version. JAX compile settings in the environment are left unchanged.
     """
-    folder, flags = cache_folder(), UNOPTIMISED if samples_of_field else QUICK_TO_COMPILE
-    flags = QUICK_TO_RUN if runs_long else flags
+    folder = cache_folder()
+    flags = LITTLE if samples_of_field else f"{LITTLE} {OLDER_EMITTER}"
     if "XLA_FLAGS" not in os.environ and _knows(flags, folder):
         os.environ["XLA_FLAGS"] = flags
     if folder is not None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:

@@ -88,7 +88,7 @@ def main(words: list[str]) -> None:
     from jaxgeo.studies.all_studies import run
 
     name, seed, written, *folder = words
-    compile_quickly(runs_long=name == LONGEST_FIRST[0])
+    compile_quickly()
     enable_x64()
     found = run(name, int(seed), pathlib.Path(folder[0]) if folder else None)
     pathlib.Path(written).write_bytes(pickle.dumps(found))

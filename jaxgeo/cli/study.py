@@ -155,7 +155,7 @@ def gu2017_command(
         if not dem:
             check_goes_with_dem(reading)
         check_no_overwrite("--output", output, [image, reference, scene], dem, reading)
-        _begin(output, runs_long=True)
+        _begin(output)
         from jaxgeo.studies import gu2017
 
         given = None
@@ -246,13 +246,13 @@ def _sigmas(position: float | None, attitude: float | None, *, is_given: bool) -
     return POSITION_SIGMA if position is None else position, ATTITUDE_SIGMA if attitude is None else attitude
 
 
-def _begin(folder: pathlib.Path | None, *, runs_long: bool = False) -> None:
+def _begin(folder: pathlib.Path | None) -> None:
     """Check the output folder and set up JAX."""
     from jaxgeo._checks import enable_x64
 
     if folder is not None:
         check_writable(folder)
-    compile_quickly(runs_long=runs_long)
+    compile_quickly()
     enable_x64()
 
 

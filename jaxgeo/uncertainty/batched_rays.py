@@ -79,6 +79,12 @@ def common_ground(inputs: ModelInputs, places: Any) -> Any:
     return jax.tree.map(lambda place: None if place < 0 else given[place], places)
 
 
+def has_own_field(places: Any) -> bool:
+    """Whether every line of sight has a height field of its own, by the `places_of_ground`."""
+    field = getattr(places[0], "field", None)
+    return any(place < 0 for place in jax.tree.leaves(field)) and len(jax.tree.leaves(field)) > 1
+
+
 def offsets_of_lines(nominal: NominalFix, search: AbstractSearch, lines: PerturbedLines, common: Any) -> FixOffsets:
     """Offsets in m from the nominal fix, and statuses, of the fixes of perturbed lines of sight."""
     terrain, air = eqx.combine(lines.own, common)

@@ -25,6 +25,7 @@ from jaxgeo.uncertainty.batched_rays import (
     TRIALS,
     PerturbedLines,
     common_ground,
+    has_own_field,
     offsets_of_lines,
     perturbed_lines,
     places_of_ground,
@@ -124,9 +125,11 @@ def make_plan(
     search: AbstractSearch,
     key: Any,
     size: Size,
-) -> Plan:
-    """Sampling plan of an observation on the devices of `size`; the search is told the spread of the lines."""
+) -> tuple[Plan, Size]:
+    """Sampling plan of an observation on the devices of `size`, and the size; the search is told the lines' spread."""
     model, roots, turn, places = _evaluated(inputs, nominal, model, draws)
+    if has_own_field(places):  # the older emitter would need hours for it
+        size = size._replace(is_long_run=True)
     plan = Plan(
         LinePlan(inputs, model, roots, turn, draws, key, places),
         FixPlan(nominal, search, common_ground(inputs, places)),
@@ -137,7 +140,7 @@ def make_plan(
     trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, 1), size)
     trial = jax.tree.map(lambda x: np.asarray(x)[:TRIALS], trial)
     found = search_of_lines(search, plan.lines.inputs, nominal, trial)
-    return plan._replace(fixes=plan.fixes._replace(search=found))
+    return plan._replace(fixes=plan.fixes._replace(search=found)), size
 
 
 @quick_filter_jit

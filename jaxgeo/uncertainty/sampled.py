@@ -170,7 +170,7 @@ def draw_errors(
     draws: Any = sampling.draws
     devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
     size = Size.of(sampling.count, sampling.chunk, sampling.scrambles, devices)
-    plan = make_plan(inputs, nominal, model, draws, search, sampling.random_key, size)
+    plan, size = make_plan(inputs, nominal, model, draws, search, sampling.random_key, size)
     centre = np.zeros(3)
     if about_mean:
         centre = _gather(plan, size, dataclasses.replace(sampling, half_width=None), (), False, centre).mean_enu

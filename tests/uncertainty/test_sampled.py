@@ -48,7 +48,7 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
 
 def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
     look = ModelInputs.of(*SCENE[:4])
-    plan = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY, SIZE)
+    plan, _ = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY, SIZE)
     assert plan.lines.inputs is look
     assert {id(x) for x in jax.tree.leaves(plan.fixes.common)} <= {id(x) for x in jax.tree.leaves(look)}
 
@@ -132,7 +132,7 @@ def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
 def test_crowds_are_told_where_to_begin_whatever_errs(model: ErrorModel) -> None:
     """Also if nothing moves the ground, or nothing but the ground moves."""
     look = ModelInputs.of(looks.sensor(), looks.shot(), looks.UV, looks.dem())
-    plan = make_plan(look, look.nominal_fix(FirstHit()), model, Random(), FirstHit(), KEY, SIZE)
+    plan, _ = make_plan(look, look.nominal_fix(FirstHit()), model, Random(), FirstHit(), KEY, SIZE)
     assert plan.fixes.search.beam.start > 0.0
 
 
