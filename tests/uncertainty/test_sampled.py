@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 
 import jax
 import numpy as np
@@ -252,3 +254,24 @@ def test_a_comparison_with_another_search_says_the_same_where_the_crossing_is_on
     for row, another in zip(first.rows[:3], other.rows[:3], strict=True):
         assert another.values == pytest.approx(row.values, rel=1e-9), row.method
     assert [q.value for q in other.quantiles] == pytest.approx([q.value for q in first.quantiles], rel=1e-9)
+
+
+def compiled(caplog: pytest.LogCaptureFixture, call: Callable[[], object]) -> set[str]:
+    """Names of the programs that a call compiles or reads back."""
+    caplog.clear()
+    with jax.log_compiles():
+        call()
+    found = [re.search(r"Compiling jit\((\w+)\)", record.getMessage()) for record in caplog.records]
+    return {match[1] for match in found if match}
+
+
+def test_another_count_compiles_nothing_and_another_error_only_the_lines_of_sight(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    draw = lambda model, count: sample(*SCENE[:4], model, key=KEY, count=count)  # noqa: E731
+    draw(MODEL, 3001)
+    assert compiled(caplog, lambda: draw(MODEL, 12_004)) == set()
+    other = ErrorModel((*MODEL.sources, sources.Boresight.from_degrees(heading=0.01, pitch=0.01, roll=0.01)))
+    more = compiled(caplog, lambda: draw(other, 3001))
+    assert "_draw_lines" in more
+    assert "_draw_chunk" not in more
