@@ -53,7 +53,6 @@ STATIC_NUMPY = {
     ("jaxgeo/_arguments.py", "check_on_image"): "uses the image size, static fields of the camera",
     ("jaxgeo/_arguments.py", "thrown"): "is called with throw=True only, which check_throw refuses for traced values",
     ("jaxgeo/_compile.py", "Batches._found"): "runs a program on the values of a vmap that is called directly",
-    ("jaxgeo/_compile.py", "Batches._program"): "takes the shapes of such values",
     ("jaxgeo/demo/scene.py", "_middle"): "uses the image size, static fields of the camera",
     ("jaxgeo/sensor/camera.py", "_array"): "converts the caller's lists and tuples; arrays pass unchanged",
     ("jaxgeo/sensor/pointing.py", "out_of_range"): "writes an error message, after `concrete` gave the status",
