@@ -91,7 +91,7 @@ def offsets_of_lines(nominal: NominalFix, search: AbstractSearch, lines: Perturb
     if isinstance(search, FirstHit) and isinstance(terrain, Dem) and air is None:
         ground = Ground(lines.own[0], common[0])
         p_ecef, status = touched_by_each(*lines.sight, ground, search)
-        offset = jnp.where(has_point(status)[:, None], p_ecef - nominal.p_ecef[None, :], 0.0)
+        offset = jnp.where(jax.vmap(has_point)(status)[:, None], p_ecef - nominal.p_ecef[None, :], 0.0)
         return jax.vmap(matvec, in_axes=(None, 0))(nominal.R_ecef_from_enu.T, offset), status
 
     def offset_of(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:

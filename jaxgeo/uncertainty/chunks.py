@@ -173,14 +173,13 @@ def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3
 
 
 def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
+    def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part) -> PerturbedLines:
+        whole = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
+        return _by_blocks(_lines_of_block, part.share, size.capacity, device[0], whole, part)[0]
 
-    def drawn(device: Int[Array, "1"], plan: LinePlan, part: Part) -> PerturbedLines:
-        return _by_blocks(_lines_of_block, part.share, size.capacity, device[0], plan, part)[0]
-
-    return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan, part)
+    return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part)
 
 
-@batch_filter_jit
 def _draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
     def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
         args = device[0], lines, plan, part, centre, keep

@@ -106,8 +106,7 @@ def test_samples_without_a_fix_count_as_infinitely_far(share_lost: float, least:
     assert low.value > low.conditional
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("moves_ground", [False, True])
+@pytest.mark.parametrize("moves_ground", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
     """On rough ground, where the crowd is told where to begin; one of its own by one of its own."""
     pointing = sources.Attitude.from_degrees(heading=0.3, pitch=0.3, roll=0.3)
