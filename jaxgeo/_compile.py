@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.custom_batching import custom_vmap
 
 from jaxgeo._checks import is_known
@@ -125,12 +126,13 @@ class Batches:
 
     def of(self, inputs: tuple[tuple[Any, ...], dict[str, Any]]) -> Callable[[], Any] | None:
         """The call for inputs (arguments and options) that a `vmap` called directly traces, else None."""
+        leaves: list[Any]
         leaves, structure = jax.tree.flatten(inputs)
-        traced = [leaf for leaf in leaves if isinstance(leaf, jax.core.Tracer)]
+        traced: list[Any] = [leaf for leaf in leaves if isinstance(leaf, Tracer)]
         if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or not batch_options():
             return None
-        axes = tuple(leaf.batch_dim if isinstance(leaf, jax.core.Tracer) else None for leaf in leaves)
-        values = [leaf.val if isinstance(leaf, jax.core.Tracer) else leaf for leaf in leaves]
+        axes = tuple(leaf.batch_dim if isinstance(leaf, Tracer) else None for leaf in leaves)
+        values = [leaf.val if isinstance(leaf, Tracer) else leaf for leaf in leaves]
         count = traced[0].val.shape[traced[0].batch_dim]
         if not 0 < count <= MOST_ROWS or any(leaf.size > MOST_NUMBERS for leaf in traced):
             return None
@@ -168,7 +170,7 @@ def _is_mapped_once(leaf: Any, other: Any) -> bool:
         return False
     if isinstance(value, np.ndarray):
         return True
-    if not isinstance(value, jax.Array) or isinstance(value, jax.core.Tracer):
+    if not isinstance(value, jax.Array) or isinstance(value, Tracer):
         return False
     return value.is_fully_addressable and value.devices() == {jax.devices()[0]}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.resources
 import pathlib
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -136,7 +137,7 @@ def _posts_in_image(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, n
 
 
 @long_run_jit
-def _projected(sensor: Sensor, shot: Shot, dem: Dem, posts: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _projected(sensor: Sensor, shot: Shot, dem: Dem, posts: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     def project_one(rowcol: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         post = _post(dem, *rowcol)
         image = project(sensor, shot, post)

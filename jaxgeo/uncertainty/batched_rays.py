@@ -90,12 +90,13 @@ def offsets_of_lines(nominal: NominalFix, search: AbstractSearch, lines: Perturb
     terrain, air = eqx.combine(lines.own, common)
     if isinstance(search, FirstHit) and isinstance(terrain, Dem) and air is None:
         ground = Ground(lines.own[0], common[0])
-        p_ecef, status = touched_by_each(*lines.sight, ground, search)
+        p_ecef, status = touched_by_each(lines.sight.ray, lines.sight.status, ground, search)
         offset = jnp.where(jax.vmap(has_point)(status)[:, None], p_ecef - nominal.p_ecef[None, :], 0.0)
         return jax.vmap(matvec, in_axes=(None, 0))(nominal.R_ecef_from_enu.T, offset), status
 
     def offset_of(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
-        return nominal.offset_of(line, *eqx.combine(own, common), search)
+        terrain, air = eqx.combine(own, common)
+        return nominal.offset_of(line, terrain, air, search)
 
     return jax.vmap(offset_of)(lines.sight, lines.own)
 

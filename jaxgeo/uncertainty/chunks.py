@@ -134,7 +134,7 @@ def make_plan(
         LinePlan(inputs, model, roots, turn, draws, key, places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
-    if len(size.devices) > 1 or size.devices[0] != jax.devices()[0]:  # once, not per chunk: the terrain may be large
+    if size.devices != tuple(jax.devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
     trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, 1), size)

@@ -167,10 +167,10 @@ def draw_errors(
     keep: bool = False,
 ) -> Sampled:
     """`sample` of checked inputs, model and options, about a nominal fix."""
-    draws: Any = sampling.draws
+    options: Any = sampling
     devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
-    size = Size.of(sampling.count, sampling.chunk, sampling.scrambles, devices)
-    plan, size = make_plan(inputs, nominal, model, draws, search, sampling.random_key, size)
+    size = Size.of(options.count, options.chunk, options.scrambles, devices)
+    plan, size = make_plan(inputs, nominal, model, options.draws, search, options.random_key, size)
     centre = np.zeros(3)
     if about_mean:
         centre = _gather(plan, size, dataclasses.replace(sampling, half_width=None), (), False, centre).mean_enu
@@ -231,7 +231,7 @@ class _Tally:
         place = slice(first, first + count)
         self.count += count
         moments = drawn.moments.sum(axis=0)
-        self.found += round(moments[3, 3])
+        self.found += round(float(moments[3, 3]))
         self.sum += moments[:3, 3]
         self.squares += moments[:3, :3]
         if np.any(drawn.statuses):
