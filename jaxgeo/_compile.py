@@ -131,7 +131,7 @@ class Batches:
         traced: list[Any] = [leaf for leaf in leaves if isinstance(leaf, Tracer)]
         if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or not batch_options():
             return None
-        axes = tuple(leaf.batch_dim if isinstance(leaf, Tracer) else None for leaf in leaves)
+        axes: Any = tuple(leaf.batch_dim if isinstance(leaf, Tracer) else None for leaf in leaves)
         values = [leaf.val if isinstance(leaf, Tracer) else leaf for leaf in leaves]
         count = traced[0].val.shape[traced[0].batch_dim]
         if not 0 < count <= MOST_ROWS or any(leaf.size > MOST_NUMBERS for leaf in traced):
