@@ -20,11 +20,11 @@ from jaxgeo._checks import is_known
 
 ROWS = 1024  # items of a block under a `vmap` that is called directly
 MOST_ROWS = 16 * ROWS  # more items are a program of their own, which is quicker to run
-MOST_NUMBERS = 64  # of one argument of an item: the older emitter does not do with a height field for each
+MOST_NUMBERS = 64  # per argument and item: with a height field for each item the older emitter does not finish
 T = TypeVar("T", bound=Callable[..., Any])
 
-
-PASSES = "while-loop-invariant-code-motion,simplify-while-loops,tree_reduction_rewriter"  # slow, of no use to batches
+# Passes of XLA that are slow and do not speed up batches.
+PASSES = "while-loop-invariant-code-motion,simplify-while-loops,tree_reduction_rewriter"
 
 
 @functools.cache
@@ -74,7 +74,7 @@ def quick_jit(function: T) -> T:
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        batch = batches.of((args, options))
+        batch = None if is_known((args, options)) else batches.of((args, options))
         return alone(*args, **options) if batch is None else batch()
 
     return call  # pyright: ignore

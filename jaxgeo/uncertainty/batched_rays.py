@@ -22,8 +22,8 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sightline
 from jaxgeo.uncertainty.sources.base import Error
 
-BLOCK = 2560  # lines of sight formed and searched together: a multiple of 64, so that the search needs no padding
-STAGE = 1280  # lines of sight per step of forming them; intermediate results fit into the cache of a core
+BLOCK = 3392  # lines of sight formed and searched together: a multiple of 64, so that the search needs no padding
+STAGE = BLOCK // 2  # lines of sight per step of forming them; intermediate results fit into the cache of a core
 TRIALS = 1024
 WIDER = 1.5  # factor on the largest trial deviation: about four sigmas, so that hardly any draw lies outside
 LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: margin for rounding if there is no spread

@@ -35,7 +35,7 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-FEW, MANY = 6 * BLOCK, 96 * BLOCK  # samples of one call on one device, at most
+FEW, MANY = 5 * BLOCK, 74 * BLOCK  # samples of one call on one device, at most; four calls are a million
 LONG_RUN = 4 * FEW  # samples per device from which programs are compiled for speed
 
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
@@ -70,7 +70,8 @@ class Plan(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Size of the programs: samples of one call on one device, the devices, and whether they run for long."""
+    """Size of the programs: samples of one call on one device, the devices, and whether the usual emitter compiles
+    them, which is quicker to run."""
 
     capacity: int
     devices: tuple[Any, ...]
@@ -126,9 +127,9 @@ def make_plan(
     key: Any,
     size: Size,
 ) -> tuple[Plan, Size]:
-    """Sampling plan of an observation on the devices of `size`, and the size; the search is told the lines' spread."""
+    """(sampling plan of an observation, its size); the search knows the spread of the lines of sight."""
     model, roots, turn, places = _evaluated(inputs, nominal, model, draws)
-    if has_own_field(places):  # the older emitter would need hours for it
+    if has_own_field(places):  # the older emitter does not finish
         size = size._replace(is_long_run=True)
     plan = Plan(
         LinePlan(inputs, model, roots, turn, draws, key, places),

@@ -18,7 +18,7 @@ from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-CHUNK = 2**18
+CHUNK = 2**20  # samples: no bound beside those of the programs
 RANDOM = Random()
 
 
