@@ -17,6 +17,8 @@ from jax.core import Tracer
 from jax.custom_batching import custom_vmap
 
 from jaxgeo._checks import is_known
+from jaxgeo._program_cache import folder_in_use
+from jaxgeo._program_store import Programs
 
 ROWS = 1024  # items of a block under a `vmap` that is called directly
 MOST_ROWS = 16 * ROWS  # more items are a program of their own, which is quicker to run
@@ -107,12 +109,16 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
     def quick() -> Any:
         return jit(function, compiler_options=options_of())
 
+    kept = Programs(function, options_of, (lambda _: True) if jit is jax.jit else eqx.is_array)
+
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
         if not is_known((args, options)):
             return usual(*args, **options)
+        folder = folder_in_use()
         with RARE_COLLECTION:
-            return quick()(*args, **options)
+            by_kept = None if folder is None else kept.call(folder, args, options)
+            return quick()(*args, **options) if by_kept is None else by_kept()
 
     return call  # pyright: ignore
 
@@ -123,6 +129,19 @@ class Batches:
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._programs: dict[Any, Any] = {}
+
+        @functools.wraps(function)
+        def mapped(axes: str, inputs: Any) -> Any:
+            """The function of a block; `axes` has a 0 for each argument with rows, in the order of the leaves."""
+            leaves, form = jax.tree.flatten(inputs)
+
+            def of_leaves(leaves: list[Any]) -> Any:
+                args, options = jax.tree.unflatten(form, leaves)
+                return function(*args, **options)
+
+            return jax.vmap(of_leaves, in_axes=([0 if axis == "0" else None for axis in axes],))(leaves)
+
+        self._mapped, self._kept = mapped, Programs(mapped, batch_options, lambda leaf: not isinstance(leaf, str))
 
     def of(self, inputs: tuple[tuple[Any, ...], dict[str, Any]]) -> Callable[[], Any] | None:
         """The call for inputs (arguments and options) that a `vmap` called directly traces, else None."""
@@ -144,22 +163,23 @@ class Batches:
         rows = np.minimum(np.arange(blocks * ROWS), count - 1).reshape(blocks, ROWS)
         mapped = {k: np.moveaxis(np.asarray(values[k]), axis, 0) for k, axis in enumerate(axes) if axis is not None}
         blocks = [[mapped[k][row] if k in mapped else x for k, x in enumerate(values)] for row in rows]
+        is_mapped = "".join("-" if axis is None else "0" for axis in axes)
         with RARE_COLLECTION:
-            program = self._program(structure, tuple(axis is not None for axis in axes), blocks[0])
-            parts = [program(block) for block in blocks]
+            parts = [self._of_block(is_mapped, structure, block) for block in blocks]
         return jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[:count], *parts)
 
-    def _program(self, structure: Any, is_mapped: tuple[bool, ...], block: list[Any]) -> Any:
+    def _of_block(self, axes: str, structure: Any, block: list[Any]) -> Any:
+        folder = folder_in_use()
+        kept = folder and self._kept.call(folder, (axes, jax.tree.unflatten(structure, block)), {})
+        return kept() if kept else self._program(axes, structure, block)(block)
+
+    def _program(self, axes: str, structure: Any, block: list[Any]) -> Any:
         """The compiled program, which a `jit` would compile again under each `vmap` of another size."""
-        key = structure, is_mapped, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in block)
+        key = structure, axes, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in block)
         if key not in self._programs:
-
-            def of_leaves(leaves: list[Any]) -> Any:
-                args, options = jax.tree.unflatten(structure, leaves)
-                return self._function(*args, **options)
-
-            mapped = jax.vmap(of_leaves, in_axes=([0 if one else None for one in is_mapped],))
-            self._programs[key] = jax.jit(mapped).lower(block).compile(compiler_options=batch_options())
+            mapped = functools.partial(self._mapped, axes)
+            of_leaves = lambda leaves: mapped(jax.tree.unflatten(structure, leaves))  # noqa: E731
+            self._programs[key] = jax.jit(of_leaves).lower(block).compile(compiler_options=batch_options())
         return self._programs[key]
 
 

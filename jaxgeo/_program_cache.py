@@ -11,16 +11,20 @@ FOLDER = "JAXGEO_CACHE_DIR"  # environment variable; empty: no cache
 LARGEST = 500_000_000  # bytes in the cache; the oldest programs are removed first
 EVEN_SHORT_ONES = 0.0  # s, least compile time of a cached program
 
+_in_use: list[pathlib.Path] = []
+
 
 def keep_programs(folder: str | os.PathLike[str] | None = None, *, largest: int = LARGEST) -> pathlib.Path | None:
     """Keep compiled programs on disk, so that later processes need not compile them again; returns the folder.
 
-    Call it once, before the first computation. Programs are those of every JAX function of this process. `folder` is by
-    default that of the environment variable `JAXGEO_CACHE_DIR`, or the user's cache folder, in which each version of
-    jaxlib and kind of processor has a folder of its own. Programs beyond `largest` bytes are removed, those unused for
-    longest first. Several processes may share a folder: programs are written whole or not at all. A folder set before
-    in JAX (`jax_compilation_cache_dir`) is left as it is, and returned. None, and no cache, if the variable is empty
-    or the folder is not writable. Raises `ValueError` for a `largest` below 1.
+    Call it once, before the first computation. Programs are those of every JAX function of this process; those of
+    jaxgeo's own functions are not even traced again, if their arguments are of jaxgeo's classes. `folder` is by default
+    that of the environment variable `JAXGEO_CACHE_DIR`, or the user's cache folder, in which each version of jaxlib and
+    kind of processor has a folder of its own. Programs beyond `largest` bytes are removed, those unused for longest
+    first. Several processes may share a folder: programs are written whole or not at all. A process runs what it reads:
+    share a folder only with users whom you trust. A folder set before in JAX (`jax_compilation_cache_dir`) is left as
+    it is, and returned. None, and no cache, if the variable is empty or the folder is not writable. Raises `ValueError`
+    for a `largest` below 1.
 
     >>> import os, tempfile
     >>> folder = jaxgeo.keep_programs(tempfile.mkdtemp())  # of your own: jaxgeo.keep_programs()
@@ -44,7 +48,13 @@ def keep_programs(folder: str | os.PathLike[str] | None = None, *, largest: int 
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", EVEN_SHORT_ONES)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    _in_use.append(path)
     return path
+
+
+def folder_in_use() -> pathlib.Path | None:
+    """The folder in which this process keeps programs, if it does."""
+    return _in_use[-1] if _in_use else None
 
 
 def cache_folder(folder: str | os.PathLike[str] | None = None) -> pathlib.Path | None:

@@ -12,7 +12,7 @@ from support.numpy_in_jit import numpy_in_jitted_code
 LAYERS = [
     (
         "_typing _checks _compile _elementary _numerics _record status least_squares _destination _partial "
-        "_interruption _program_cache _text_numbers _command _renamed _refusals batches"
+        "_interruption _program_cache _program_store _text_numbers _command _renamed _refusals batches"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
@@ -36,6 +36,8 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"_checks", "_numerics"}),
     frozenset({"status", "_checks"}),
     frozenset({"_compile", "_checks"}),
+    frozenset({"_compile", "_program_cache"}),
+    frozenset({"_compile", "_program_store"}),
     frozenset({"batches", "_compile"}),
     frozenset({"_record", "_checks"}),
     frozenset({"_destination", "_partial"}),

@@ -23,9 +23,14 @@ WIDE = 120  # terminal width, characters, from which all columns are shown
 def locate_inputs(inputs: LocateInputs, probability: float) -> tuple[Fix, Accuracy | None]:
     """The fixes, and their accuracy if there are error sources and any fix; progress bars on stderr."""
     from jaxgeo.io import accuracy_of_observations, locate_observations
-    from jaxgeo.io.located import FEW
+    from jaxgeo.io.located import FEW, located_with_accuracy
 
     observed = inputs.observed
+    if inputs.has_errors:
+        with working("estimating accuracy"):
+            found = located_with_accuracy(observed, inputs.grounds, probability)
+        if found is not None:
+            return found
     with progress_bar() as bar:
         task = bar.add_task("locating", total=None)
         fixes = locate_observations(

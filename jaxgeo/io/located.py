@@ -70,31 +70,51 @@ def accuracy_of_observations(
     """
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
     has_fix = np.isin(fixes.status, [int(one) for one in Status if counts_as_fix(one.code)])
-    found, rows = [], []
+    sampling, found, rows = Sampling(count=count, progress=progress), [], []
     for batch, ground in _pairs(observed, terrain):
         index = np.flatnonzero(has_fix[batch.rows])
         if not len(index):
             continue
-        observation, sources = batch.at(index)
-        exposure, own = observation.exposure, None if batch.is_one_camera else 0
-        assert isinstance(exposure.motion, Shot)
-        each = accuracy(
-            exposure.sensor,
-            exposure.motion,
-            observation.uv,
-            terrain_at(ground, index),
-            sources,
-            in_axes=(own, 0, 0, axis_of(ground), own),
-            probability=probability,
-            sampling=Sampling(count=count, progress=progress),
-            atmosphere=exposure.atmosphere,
-        )
-        found.append(each)
+        found.append(_accuracy_of(batch, ground, index, probability, sampling))
         rows.append(batch.rows[index])
     if not found:
         return None
     arrays = _spread([_arrays(one) for one in found], rows, len(observed), -1)
     return dataclasses.replace(found[0], fix=fixes, **arrays)
+
+
+def located_with_accuracy(
+    observed: Observations, terrain: Terrain, probability: float
+) -> tuple[Fix, Accuracy | None] | None:
+    """The fix of a single row and its accuracy, by one terrain search for both; None if there are more rows, or other
+    rows than one on an image. The accuracy is None without a fix."""
+    if len(observed) != 1 or len(observed.batches) != 1 or not observed.batches[0].is_on_image.all():
+        return None
+    ((batch, ground),) = _pairs(observed, terrain)
+    found = _accuracy_of(batch, ground, np.arange(1), probability, Sampling(count=SAMPLES))
+    fix = jax.tree.map(np.asarray, found.fix)
+    is_fix = counts_as_fix(fix.status).all()
+    return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if is_fix else None
+
+
+def _accuracy_of(
+    batch: ObservationBatch, ground: AbstractTerrain, index: np.ndarray, probability: float, sampling: Sampling
+) -> Accuracy:
+    """Accuracy of several rows of a batch."""
+    observation, sources = batch.at(index)
+    exposure, own = observation.exposure, None if batch.is_one_camera else 0
+    assert isinstance(exposure.motion, Shot)
+    return accuracy(
+        exposure.sensor,
+        exposure.motion,
+        observation.uv,
+        terrain_at(ground, index),
+        sources,
+        in_axes=(own, 0, 0, axis_of(ground), own),
+        probability=probability,
+        sampling=sampling,
+        atmosphere=exposure.atmosphere,
+    )
 
 
 def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain) -> Iterator[Fix]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pyproj
 from pyproj.exceptions import ProjError
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo.earth import WGS84
 from jaxgeo.io._proj import NoOperation, operation, unit_normals
 from jaxgeo.io.errors import DemError
@@ -152,7 +152,7 @@ def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
     )
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _both_ways(grid: AbstractGrid, normals: jax.Array, rowcol: jax.Array) -> tuple[jax.Array, jax.Array]:
     return jax.vmap(grid.rowcol)(normals), jax.vmap(grid.normal)(rowcol)
 

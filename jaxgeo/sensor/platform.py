@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_range
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._numerics import matmul3, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
@@ -70,7 +71,11 @@ def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, 
     """
     for value, name in ((heading, "heading"), (pitch, "pitch"), (roll, "roll")):
         check_range(value, f"boresight {name}", "deg", -360.0, 360.0)
-    heading, pitch, roll = as_float64((heading, pitch, roll), "boresight_from_degrees")
+    return _R_from_degrees(*as_float64((heading, pitch, roll), "boresight_from_degrees"))
+
+
+@quick_filter_jit
+def _R_from_degrees(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
     return R_from_heading_pitch_roll(jnp.deg2rad(heading), jnp.deg2rad(pitch), jnp.deg2rad(roll))
 
 

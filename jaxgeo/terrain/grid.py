@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._elementary import arctangent
 from jaxgeo._numerics import larger, safe_sqrt, times, within
 from jaxgeo._record import Record
@@ -61,9 +62,7 @@ class AbstractGrid(Record):
 
     def cell_size(self) -> Float[Array, "2"]:
         """Length in m of one step in row and one in col, on the ellipsoid at the grid's centre."""
-        centre = jnp.asarray(self.rowcol0, jnp.float64)
-        steps = jax.jacfwd(lambda rowcol: surface_point(self.normal(rowcol)))(centre)
-        return jnp.sqrt(jnp.sum(steps**2, axis=0))
+        return _cell_size(self)
 
     def coarser(self: GridT, factor: float | int) -> GridT:
         """The grid with cells `factor` posts long and wide: its post (0, 0) is at the centre of the first such square.
@@ -222,6 +221,13 @@ def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> F
     x, y = (_chebyshev(t, coefficients.shape[0]) for t in near)
     linear = jnp.stack([coefficients[1, 0], coefficients[0, 1]], axis=1)
     return jnp.einsum("i,j,ijk->k", x, y, coefficients) + jnp.stack(times(linear, xy - near))
+
+
+@quick_filter_jit
+def _cell_size(grid: AbstractGrid) -> Float[Array, "2"]:
+    centre = jnp.asarray(grid.rowcol0, jnp.float64)
+    steps = jax.jacfwd(lambda rowcol: surface_point(grid.normal(rowcol)))(centre)
+    return jnp.sqrt(jnp.sum(steps**2, axis=0))
 
 
 def surface_point(normal: Vector3) -> Vector3:

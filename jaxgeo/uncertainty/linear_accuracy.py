@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
-from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose, select_method
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnosed, Diagnostics, Method, diagnose, select_method
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
@@ -25,7 +25,12 @@ class LinearAccuracy(NamedTuple):
 
 def assess_fix(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> LinearAccuracy:
     """Method selected by the diagnostics of an observation."""
-    diagnostics, facet, footprint, _ = diagnose(inputs, nominal, model)
+    return select_linear(diagnose(inputs, nominal, model), nominal)
+
+
+def select_linear(found: Diagnosed, nominal: NominalFix) -> LinearAccuracy:
+    """Method selected by diagnostics."""
+    diagnostics, facet, footprint, _ = found
     method = select_method(diagnostics)
     either = lambda a, b: jnp.where(method == Method.footprint, b, a)  # noqa: E731
     cov, bias = either(facet.cov_enu, footprint.cov_enu), either(facet.bias_enu, footprint.bias_enu)

@@ -9,19 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, is_known
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
-from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii
+from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
 from jaxgeo.uncertainty.map_cells import Request
-from jaxgeo.uncertainty.method_selection import Method
+from jaxgeo.uncertainty.method_selection import Diagnosed, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
 
-FEW = 16  # block size for few fixes; only the sizes 1, 16 and `block` are compiled, once each
+FEW = 16  # block size for few fixes; only the sizes 16 and `block` are compiled, once each
 NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
 OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
 
@@ -56,9 +56,12 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     options = (batch.shared, batch.axes, request.search, request.probability)
     if not is_known(batch.given):
         return _of_traced(*_assess_block(batch.lanes, *options), request.probability)
-    size = next((size for size in (1, FEW) if number <= size < request.block), request.block)
-    parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
-    assessed: Any = concatenate([_assess_block(part, *options) for part in parts], number)
+    if number == 1:
+        assessed: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
+    else:
+        size = FEW if number <= FEW < request.block else request.block
+        parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
+        assessed = concatenate([_assess_block(part, *options) for part in parts], number)
     nominals, found, radii = assessed
 
     def observation_at(index: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
@@ -126,6 +129,19 @@ def _inputs_of(given: tuple[Any, ...]) -> tuple[ModelInputs, ErrorModel]:
     return ModelInputs.of_checked(sensor, shot, time, uv, terrain, air), model
 
 
+def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
+    """The same of one exposure, by the programs of a call of `accuracy` for it."""
+    inputs, model = _inputs_of(given)
+    nominal = inputs.nominal_fix(request.search)
+    return nominal, *_selected(diagnose(inputs, nominal, model), nominal, request.probability)
+
+
+@quick_filter_jit
+def _selected(found: Diagnosed, nominal: NominalFix, probability: Scalar) -> tuple[LinearAccuracy, tuple[Any, ...]]:
+    selected = select_linear(found, nominal)
+    return selected, linear_radii(selected, probability)
+
+
 @long_run_filter_jit
 def _assess_block(
     lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
@@ -135,10 +151,7 @@ def _assess_block(
         nominal = inputs.nominal_fix(search)
         return nominal, assess_fix(inputs, nominal, model)
 
-    if jax.tree.leaves(lanes)[0].shape[0] == 1:  # without vmap: traced in half the time
-        nominals, found = jax.tree.map(lambda leaf: leaf[None], one(jax.tree.map(lambda leaf: leaf[0], lanes)))
-    else:
-        nominals, found = jax.vmap(one)(lanes)
+    nominals, found = jax.vmap(one)(lanes)
     return nominals, found, linear_radii(found, probability)
 
 

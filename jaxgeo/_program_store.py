@@ -1,0 +1,231 @@
+"""Programs kept on disk and found again by what they are called with: a later process neither traces nor compiles.
+
+JAX's own cache finds a program by its text, which takes seconds of tracing to make.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import io
+import os
+import pathlib
+import pickle
+import sys
+import tempfile
+import types
+import uuid
+import zlib
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+# Packages whose classes and functions may be part of a program's key: their versions are part of it as well.
+KNOWN_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "lineax", "jaxtyping")
+STANDARD = ("builtins", "functools", "collections", "pathlib", "types", "operator", "copyreg", "enum", "_operator")
+# Settings of JAX for a part of a process; and words in the names of those that change no program.
+SETTINGS = (
+    "jax_enable_x64 jax_default_matmul_precision jax_numpy_dtype_promotion jax_default_prng_impl "
+    "jax_threefry_partitionable jax_debug_nans jax_debug_infs jax_default_device"
+).split()
+WITHOUT_EFFECT = ("cache", "log", "traceback", "profil", "platforms", "dump")
+
+
+class Program(NamedTuple):
+    """A program of flat lists, and what puts its results together: numbers of arrays in the place of arrays."""
+
+    run: Any
+    results: Any
+    has_lapack: bool
+
+    def __call__(self, arrays: list[Any]) -> Any:
+        found = self.run(arrays)
+        return jax.tree.map(lambda leaf: found[leaf.number] if isinstance(leaf, _Number) else leaf, self.results)
+
+
+class Programs:
+    """The programs of a function, one for each kind of arguments, compiled ahead of their calls.
+
+    `is_array` tells the leaves that are arguments and results of the program; the others are part of it.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        options_of: Callable[[], dict[str, Any]],
+        is_array: Callable[[Any], bool],
+    ) -> None:
+        self._function, self._options_of, self._is_array = function, options_of, is_array
+        self._programs: dict[Any, Program | None] = {}
+
+    def call(self, folder: pathlib.Path, args: tuple[Any, ...], options: dict[str, Any]) -> Callable[[], Any] | None:
+        """The call by a program that is read from `folder`, or written there; None if no program can be kept.
+
+        So it is for arguments with a class or function that is not of a known package, on other backends than the CPU,
+        and for arrays on several devices.
+        """
+        if jax.default_backend() != "cpu" or jax.config.jax_disable_jit:  # pyright: ignore
+            return None
+        leaves: list[Any]
+        leaves, structure = jax.tree.flatten((args, options))
+        arrays = [leaf for leaf in leaves if self._is_array(leaf)]
+        if not all(_is_on_first_device(array) for array in arrays):
+            return None
+        kinds = [_Kind.of(leaf) if self._is_array(leaf) else leaf for leaf in leaves]
+        key = structure, tuple(kinds), tuple(type(kind) for kind in kinds), _settings()
+        try:
+            is_new = key not in self._programs
+        except TypeError:  # not hashable
+            return None
+        if is_new:
+            name = self._name(jax.tree.unflatten(structure, kinds))
+            self._programs[key] = None if name is None else self._found(folder / name, structure, kinds, arrays)
+        program = self._programs[key]
+        return None if program is None else lambda: program(arrays)
+
+    def _found(self, path: pathlib.Path, structure: Any, kinds: list[Any], arrays: list[Any]) -> Program:
+        program = _read(path)
+        if program is None:
+            program = self._compiled(structure, kinds, arrays)
+            _write(path, program)
+        return program
+
+    def _compiled(self, structure: Any, kinds: list[Any], arrays: list[Any]) -> Program:
+        results: list[Any] = []
+
+        def of_arrays(arrays: list[Any]) -> list[Any]:
+            left = iter(arrays)
+            leaves = [next(left) if isinstance(kind, _Kind) else kind for kind in kinds]
+            args, options = jax.tree.unflatten(structure, leaves)
+            found = self._function(*args, **options)
+            leaves, form = jax.tree.flatten(found)
+            places = [k for k, leaf in enumerate(leaves) if self._is_array(leaf)]
+            numbered = [_Number(places.index(k)) if k in places else leaf for k, leaf in enumerate(leaves)]
+            results.append(jax.tree.unflatten(form, numbered))
+            return [leaves[k] for k in places]
+
+        # Under a name of its own, JAX's cache does not have it: a program read from there cannot be written again.
+        of_arrays.__name__ = f"{self._function.__name__}_{uuid.uuid4().hex[:8]}"
+        lowered = jax.jit(of_arrays).lower(arrays)
+        program = lowered.compile(compiler_options=self._options_of())
+        return Program(program, results[-1], "lapack" in lowered.as_text())
+
+    def _name(self, described: Any) -> str | None:
+        """File name of the program of these arguments; None if they hold what no other process can know."""
+        function = self._function
+        file = io.BytesIO()
+        try:
+            pickler = _Describing(file)
+            pickler.fast = True  # by value: the same for equal arguments, however they share their parts
+            pickler.dump((described, sorted(self._options_of().items()), _settings()))
+        except (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError):
+            return None
+        here = f"{function.__module__}.{function.__qualname__}\n{_environment()}\n".encode()
+        return f"program-{hashlib.sha256(here + file.getvalue()).hexdigest()}"
+
+
+class _Kind(NamedTuple):
+    """What a program depends on of an array."""
+
+    shape: tuple[int, ...]
+    dtype: str
+    is_weak: bool
+
+    @classmethod
+    def of(cls, array: Any) -> _Kind:
+        array = jax.typeof(array)
+        return cls(tuple(array.shape), str(array.dtype), bool(array.weak_type))
+
+
+class _Number:
+    """Place of an array among the results of a program."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
+class _Describing(pickle.Pickler):
+    """Pickles classes and functions of known packages only, whose code is part of the key by their versions."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, jax.Device):
+            return str, (f"{obj.platform} {obj.id}",)
+        if isinstance(obj, type | types.FunctionType | types.BuiltinFunctionType | types.MethodType):
+            package = (getattr(obj, "__module__", None) or "builtins").partition(".")[0]
+            if package not in ("jaxgeo", *KNOWN_PACKAGES, *STANDARD):
+                raise pickle.PicklingError(f"{obj} is not of a known package")
+        return NotImplemented
+
+
+def _is_on_first_device(array: Any) -> bool:
+    if not isinstance(array, jax.Array):
+        return True
+    return array.is_fully_addressable and array.devices() == {jax.devices()[0]}
+
+
+def _settings() -> tuple[Any, ...]:
+    """Settings of JAX that a program depends on and that may hold for a part of a process only."""
+    return tuple(str(getattr(jax.config, name)) for name in SETTINGS)
+
+
+def _environment() -> str:
+    """Versions, code of this package, compiler flags, settings and device that programs depend on."""
+    settings = [
+        f"{name} {value}"
+        for name, value in sorted(jax.config.values.items())
+        if not any(word in name for word in WITHOUT_EFFECT)
+    ]
+    return "\n".join([*_versions(), *settings, os.environ.get("XLA_FLAGS", "")])
+
+
+@functools.cache
+def _versions() -> list[str]:
+    import importlib.metadata
+
+    versions = [f"{package} {importlib.metadata.version(package)}" for package in KNOWN_PACKAGES]
+    root = pathlib.Path(__file__).parent
+    stats = [(path.relative_to(root).as_posix(), path.stat()) for path in sorted(root.rglob("*.py"))]
+    code = [f"{path} {stat.st_size} {stat.st_mtime_ns}" for path, stat in stats]
+    device = jax.devices()[0]
+    machine = [device.client.platform_version, device.device_kind, str(jax.device_count()), sys.version]
+    return [*versions, *code, *machine]
+
+
+def _read(path: pathlib.Path) -> Program | None:
+    """The program of a file; None if there is none, or none that can be read."""
+    from jax.experimental import serialize_executable
+
+    try:
+        content, arguments, arrays, *of_program = pickle.loads(zlib.decompress(path.read_bytes()))
+        forms = jax.tree.structure((([0] * arguments,), {})), jax.tree.structure([0] * arrays)
+        first = [jax.devices()[0]]
+        program = Program(
+            serialize_executable.deserialize_and_load(content, *forms, execution_devices=first), *of_program
+        )
+    except Exception:  # no file, or whatever a file of another make may cause: the program is compiled
+        return None
+    if program.has_lapack:
+        _load_lapack()
+    return program
+
+
+@functools.cache
+def _load_lapack() -> None:
+    """Make LAPACK known to programs, which JAX does only when it lowers one that calls it."""
+    jax.jit(jnp.linalg.cholesky).lower(np.eye(1))
+
+
+def _write(path: pathlib.Path, program: Program) -> None:
+    """Write the program, whole or not at all; one that cannot be written is not kept."""
+    from jax.experimental import serialize_executable
+
+    with contextlib.suppress(Exception):  # it holds a callback to Python, or the disk is full
+        content, arguments, arrays = serialize_executable.serialize(program.run)
+        written = pickle.dumps((content, arguments.num_leaves, arrays.num_leaves, program.results, program.has_lapack))
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix="partial-", delete=False) as file:
+            file.write(zlib.compress(written, 1))
+        os.replace(file.name, path)

@@ -1,0 +1,191 @@
+"""Programs found again on disk by what they are called with."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgeo import _program_store
+from jaxgeo._program_store import Programs
+
+
+class Counted:
+    """A function of arrays and a word, and how often it was traced."""
+
+    def __init__(self) -> None:
+        self.traced = 0
+        self.__module__, self.__name__, self.__qualname__ = "jaxgeo.tests", "counted", "counted"
+
+    def __call__(self, x: Any, y: Any, *, word: str = "sum") -> Any:
+        self.traced += 1
+        total = jnp.sum(x) if word == "sum" else jnp.prod(x)
+        return {"total": total + y, "word": word, "none": None}
+
+
+@pytest.fixture
+def counted() -> Counted:
+    return Counted()
+
+
+def in_a_new_process(function: Counted) -> Programs:
+    """Programs as a process has them that has compiled nothing yet."""
+    return Programs(function, dict, eqx.is_array)  # pyright: ignore
+
+
+def called(programs: Programs, folder: pathlib.Path, *args: Any, **options: Any) -> Any:
+    call = programs.call(folder, args, options)
+    assert call is not None
+    return call()
+
+
+def test_a_later_process_does_not_trace(counted: Counted, tmp_path: pathlib.Path) -> None:
+    x = jnp.arange(1.0, 5.0)
+    found = [called(in_a_new_process(counted), tmp_path, x, jnp.asarray(0.5)) for _ in range(3)]
+    assert counted.traced == 1
+    for one in found:
+        assert float(one["total"]) == 10.5
+        assert (one["word"], one["none"]) == ("sum", None)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_other_numbers_are_of_the_same_program(counted: Counted, tmp_path: pathlib.Path) -> None:
+    programs = in_a_new_process(counted)
+    assert float(called(programs, tmp_path, jnp.ones(4), jnp.asarray(0.5, float))["total"]) == 4.5
+    assert float(called(programs, tmp_path, 2.0 * jnp.ones(4), jnp.asarray(1.0, float))["total"]) == 9.0
+    assert float(called(programs, tmp_path, np.full(4, 3.0), np.asarray(1.0))["total"]) == 13.0
+    assert counted.traced == 1
+
+
+OTHERS: dict[str, Callable[[], tuple[tuple[Any, ...], dict[str, Any]]]] = {
+    "shape": lambda: ((jnp.ones(5), jnp.asarray(0.5)), {}),
+    "dtype": lambda: ((jnp.ones(4, jnp.float32), jnp.asarray(0.5)), {}),
+    "weak type": lambda: ((jnp.ones(4, jnp.float32), jnp.asarray(0.5, jnp.float64)), {}),
+    "word": lambda: ((jnp.ones(4), jnp.asarray(0.5)), {"word": "product"}),
+    "number of Python": lambda: ((jnp.ones(4), 0.5), {}),
+    "another number of Python": lambda: ((jnp.ones(4), 0.25), {}),
+    "an int for a float": lambda: ((jnp.ones(4), 1), {}),
+    "a float for an int": lambda: ((jnp.ones(4), 1.0), {}),
+    "True for 1": lambda: ((jnp.ones(4), True), {}),
+}
+
+
+def test_every_other_kind_is_another_program(counted: Counted, tmp_path: pathlib.Path) -> None:
+    for number, args in enumerate(OTHERS.values()):
+        for _ in range(2):
+            given, options = args()
+            found = called(in_a_new_process(counted), tmp_path, *given, **options)
+            plain = counted(*given, **options)
+            counted.traced -= 1
+            assert found["total"] == plain["total"]
+            assert found["total"].dtype == plain["total"].dtype
+        assert counted.traced == number + 1
+
+
+def test_settings_and_flags_are_part_of_the_name(
+    counted: Counted, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    args = jnp.ones(4), jnp.asarray(0.5)
+    call = lambda: called(in_a_new_process(counted), tmp_path, *args)  # noqa: E731
+    call()
+    with jax.numpy_dtype_promotion("strict"):
+        call()
+    assert counted.traced == 2
+    monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", "") + " ")
+    call()
+    assert counted.traced == 3
+    monkeypatch.setattr(_program_store, "_versions", lambda: ["another version"])
+    call()
+    assert counted.traced == 4
+
+
+class OfAUser(eqx.Module):
+    factor: Any
+
+
+def test_what_another_process_cannot_know_is_not_kept(counted: Counted, tmp_path: pathlib.Path) -> None:
+    programs = in_a_new_process(counted)
+    assert programs.call(tmp_path, (OfAUser(jnp.ones(4)), 0.5), {}) is None
+    assert programs.call(tmp_path, (jnp.ones(4), lambda x: x), {}) is None
+    assert programs.call(tmp_path, (jnp.ones(4), test_what_another_process_cannot_know_is_not_kept), {}) is None
+    assert programs.call(tmp_path, (jnp.ones(4), {1, 2}), {}) is None  # not hashable
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:100], lambda b: b[:-50] + bytes(50), lambda _: b"", lambda _: b"text"])
+def test_a_damaged_file_is_replaced(counted: Counted, tmp_path: pathlib.Path, damage: Any) -> None:
+    args = jnp.ones(4), jnp.asarray(0.5)
+    called(in_a_new_process(counted), tmp_path, *args)
+    (file,) = tmp_path.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(damage(whole))
+    for _ in range(2):
+        assert float(called(in_a_new_process(counted), tmp_path, *args)["total"]) == 4.5
+        assert counted.traced == 2
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_folder_that_is_gone_does_not_matter(counted: Counted, tmp_path: pathlib.Path) -> None:
+    found = called(in_a_new_process(counted), tmp_path / "gone", jnp.ones(4), jnp.asarray(0.5))
+    assert float(found["total"]) == 4.5
+
+
+def test_an_error_of_the_function_is_the_callers(counted: Counted, tmp_path: pathlib.Path) -> None:
+    with pytest.raises(TypeError, match="unsupported operand"):
+        called(in_a_new_process(counted), tmp_path, jnp.ones(4), None)
+    assert not list(tmp_path.iterdir())
+
+
+FIX = """
+import json, jax, jaxgeo
+jaxgeo.enable_x64()
+jaxgeo.keep_programs()
+traced = []
+on = lambda name, _, **about: traced.append(about.get("fun_name")) if name.endswith("jaxpr_trace_duration") else None
+jax.monitoring.register_event_duration_secs_listener(on)
+camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+errors = (jaxgeo.uncertainty.sources.Position.from_ned(north=3.0, east=3.0, down=5.0),)
+scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
+fix = jaxgeo.locate(*scene[:4])
+many = jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, None))(*scene[:2], jax.numpy.ones((3, 2)), scene[3])
+linear = jaxgeo.propagate(*scene)
+second = jaxgeo.uncertainty.sigma_points(*scene)  # calls LAPACK
+numbers = [*fix.ecef, *many.slant_range, *linear.cov_enu.ravel(), *second.cov_enu.ravel()]
+print(json.dumps([[float(x).hex() for x in numbers], [str(name) for name in traced]]))
+"""
+LARGE = ("_locate", "_nominal_fix", "propagate_linear", "sigma_moments")
+
+
+def fix_of_a_process(folder: pathlib.Path) -> tuple[list[str], list[str]]:
+    left = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_COMPILATION", "JAXGEO_C"))}
+    environment = {**left, "PYTHONPATH": os.pathsep.join(sys.path), "JAXGEO_CACHE_DIR": str(folder)}
+    done = subprocess.run([sys.executable, "-c", FIX], capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    numbers, traced = json.loads(done.stdout)
+    return numbers, [one for one in LARGE if any(name.startswith(one) for name in traced)]
+
+
+def test_a_second_process_traces_none_of_the_programs_and_finds_the_same_to_the_bit(tmp_path: pathlib.Path) -> None:
+    first, traced = fix_of_a_process(tmp_path)
+    assert set(traced) == set(LARGE)
+    again, traced = fix_of_a_process(tmp_path)
+    assert traced == []
+    assert again == first
+    (folder,) = tmp_path.iterdir()
+    for program in folder.glob("program-*"):  # as after an update of jaxgeo: JAX's own cache still has the programs
+        program.unlink()
+    for _ in range(2):
+        assert fix_of_a_process(tmp_path)[0] == first
