@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._checks import is_known
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
@@ -22,11 +24,12 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep, Tangents, sweep_of
 from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, along_plane
 
 Swept = Float[Array, "3 axes"]
 FACET = Facet()
+AXES = 16  # the derivatives of an error model have a multiple of this many axes, so that models share programs
 LEAST_KNOWN = 0.5  # share of a footprint with known ground, below which the fitted plane is not used
 # Under `jit` an invalid covariance, as without a fix, gives NaN instead of an exception.
 _circular_error, _linear_error, _spherical_error = map(quick_jit, (circular_error, linear_error, spherical_error))
@@ -116,32 +119,106 @@ def propagate(
     return propagate_linear(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), slope)
 
 
-@quick_filter_jit
 def propagate_linear(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:
     """`propagate` of checked input, about a nominal fix."""
-    model = model.at(inputs, nominal)
-    return propagate_sweep(inputs, nominal, model, model.sweep(inputs, nominal), slope)
+    if not is_known((inputs, nominal, model)):
+        model = model.at(inputs, nominal)
+        return propagate_sweep(inputs, nominal, model, model.sweep(inputs, nominal), slope)
+    errors = derivatives(inputs, nominal, model)
+    return errors.propagation(nominal, _over(inputs.terrain, nominal, errors.shared, slope))
 
 
 def propagate_sweep(
     inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, sweep: Sweep, slope: AbstractSlope
 ) -> Propagation:
     """Propagation from given derivatives; `model` is already evaluated `at` the observation."""
-    cov_error, jacobian = model.covariance(), sweep.facet
+    cov_error = model.covariance()
+    found = over_slope(inputs.terrain, nominal, sweep, cov_error, slope)
+    return propagation_of(nominal, model, cov_error, found)
+
+
+class OverSlope(NamedTuple):
+    """Result of linear propagation over a slope; fields as of `Propagation`."""
+
+    jacobian: Swept
+    cov_enu: Matrix3
+    bias_enu: Vector3
+    surface: Surface
+
+
+def over_slope(
+    terrain: AbstractTerrain,
+    nominal: NominalFix,
+    sweep: Sweep,
+    cov_error: Float[Array, "axes axes"],
+    slope: AbstractSlope,
+) -> OverSlope:
+    """Linear propagation over a slope from given derivatives by the errors."""
+    jacobian = sweep.facet
     surface = Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (0.0, 0.0, 1.0)))
     bias, extra = jnp.zeros(3), jnp.zeros((3, 3))
     if not isinstance(slope, Facet):
         spread = Spread(sweep.line, sweep.ground, cov_error)
-        surface = slope.surface(inputs.terrain, nominal, facet_normal(inputs, nominal), spread)
+        surface = slope.surface(terrain, nominal, facet_normal(terrain, nominal), spread)
         jacobian = spread.on(surface, nominal.direction_enu)
         along = nominal.direction_enu / along_plane(surface.normal, nominal.direction_enu)
         bias, extra = along * surface.above, jnp.outer(along, along) * surface.roughness**2
     known = lambda x: jnp.where(nominal.fix.found & (surface.known >= LEAST_KNOWN), x, jnp.nan)  # noqa: E731
-    cov_enu = jacobian @ cov_error @ jacobian.T + extra
-    return Propagation(nominal.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, nominal, model)
+    return OverSlope(known(jacobian), known(jacobian @ cov_error @ jacobian.T + extra), known(bias), surface)
 
 
-def facet_normal(inputs: ModelInputs, nominal: NominalFix) -> Vector3:
+def propagation_of(
+    nominal: NominalFix, model: ErrorModel, cov_error: Float[Array, "axes axes"], found: OverSlope
+) -> Propagation:
+    """The record of a result over a slope; `model` is already evaluated `at` the observation."""
+    jacobian, cov_enu, bias, surface = found
+    return Propagation(nominal.fix, jacobian, cov_error, cov_enu, bias, surface, nominal, model)
+
+
+class Shared(NamedTuple):
+    """What linear propagation needs of an error model, of a shape that many models share: `by_error` and `cov_error`
+    with axes of zeros up to the next size."""
+
+    base: Tangents
+    by_error: Tangents
+    cov_error: Float[Array, "sizes sizes"]
+
+    def sweep(self, terrain: AbstractTerrain, nominal: NominalFix) -> Sweep:
+        """Derivatives of the offset by the errors."""
+        return sweep_of(self.base, terrain, nominal, self.by_error)
+
+
+class Derivatives(NamedTuple):
+    """An error model at an observation, its covariance, and the derivatives of the line of sight by its errors."""
+
+    model: ErrorModel
+    cov_error: Float[Array, "axes axes"]
+    shared: Shared
+
+    def propagation(self, nominal: NominalFix, found: OverSlope) -> Propagation:
+        """The record of a result of all axes of `shared`."""
+        jacobian = jnp.asarray(np.asarray(found.jacobian)[:, : self.model.size])
+        return propagation_of(nominal, self.model, self.cov_error, found._replace(jacobian=jacobian))
+
+
+@quick_filter_jit
+def derivatives(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Derivatives:
+    """Derivatives by the errors of a model; the only part of linear propagation to compile for another model."""
+    model = model.at(inputs, nominal)
+    cov_error = model.covariance()
+    air = jax.tree.map(jnp.asarray, inputs.air)
+    base = Tangents(inputs.ray(), air, -inputs.terrain.clearance(nominal.p_ecef, nominal.cell))
+    more = -model.size % AXES
+    padded = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)]), model.tangents(inputs, nominal))
+    return Derivatives(model, cov_error, Shared(base, padded, jnp.pad(cov_error, (0, more))))
+
+
+@quick_filter_jit
+def _over(terrain: AbstractTerrain, nominal: NominalFix, shared: Shared, slope: AbstractSlope) -> OverSlope:
+    return over_slope(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error, slope)
+
+
+def facet_normal(terrain: AbstractTerrain, nominal: NominalFix) -> Vector3:
     """Surface normal under the fix in east, north, up, scaled so that its last component is 1."""
-    gradient = nominal.R_ecef_from_enu.T @ jax.grad(inputs.terrain.clearance)(nominal.p_ecef, nominal.cell)
+    gradient = nominal.R_ecef_from_enu.T @ jax.grad(terrain.clearance)(nominal.p_ecef, nominal.cell)
     return gradient / gradient[2]

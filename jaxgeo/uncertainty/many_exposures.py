@@ -16,7 +16,7 @@ from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
 from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
 from jaxgeo.uncertainty.map_cells import Request
-from jaxgeo.uncertainty.method_selection import Diagnosed, Method, diagnose
+from jaxgeo.uncertainty.method_selection import Diagnosed, Method, Radii, diagnose_with_radii
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
@@ -133,13 +133,15 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
     """The same of one exposure, by the programs of a call of `accuracy` for it."""
     inputs, model = _inputs_of(given)
     nominal = inputs.nominal_fix(request.search)
-    return nominal, *_selected(diagnose(inputs, nominal, model), nominal, request.probability)
+    found, radii = diagnose_with_radii(inputs, nominal, model, request.probability)
+    return nominal, *_selected(found, radii, nominal)
 
 
 @quick_filter_jit
-def _selected(found: Diagnosed, nominal: NominalFix, probability: Scalar) -> tuple[LinearAccuracy, tuple[Any, ...]]:
+def _selected(found: Diagnosed, radii: Radii, nominal: NominalFix) -> tuple[LinearAccuracy, tuple[Any, ...]]:
     selected = select_linear(found, nominal)
-    return selected, linear_radii(selected, probability)
+    is_linear = (selected.method == Method.facet) | (selected.method == Method.footprint)
+    return selected, tuple(jnp.where(is_linear, radius[selected.method], jnp.nan) for radius in radii)
 
 
 @long_run_filter_jit

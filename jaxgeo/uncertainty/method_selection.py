@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
+from jaxgeo._checks import is_known
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
-from jaxgeo._typing import Flag, Scalar
-from jaxgeo.uncertainty.linear import FACET, Propagation, propagate_sweep
-from jaxgeo.uncertainty.metrics import circular_error, linear_error
+from jaxgeo._typing import Flag, Numbers, Scalar
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty.linear import (
+    FACET,
+    OverSlope,
+    Propagation,
+    Shared,
+    derivatives,
+    over_slope,
+    propagation_of,
+)
+from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep
 from jaxgeo.uncertainty.profile import Profile, profile_of
 from jaxgeo.uncertainty.slopes import Footprint
 
@@ -27,6 +37,7 @@ NOTHING = 1e-3  # of the circular error: smaller linear errors, as on level grou
 FEW = 0.01  # probability: a larger share of lines of sight that jump or fail affects a 90 % figure
 SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the two to agree
 NO_FIX = -1  # in place of a `Method`, without a fix
+LEVEL = 0.9  # probability of the figures that are compared
 GRAZING = 0.01  # sine of the angle between ray and surface
 
 
@@ -55,6 +66,10 @@ class Diagnostics(NamedTuple):
     off: Scalar
 
 
+_Parts: TypeAlias = tuple[Diagnostics, OverSlope, OverSlope, Profile]
+Radii: TypeAlias = tuple[Numbers, Numbers, Numbers]
+
+
 @portable
 class Diagnosed(NamedTuple):
     """Diagnostics of a fix with their sources: linear propagation over facet and footprint, and the terrain profile."""
@@ -65,25 +80,59 @@ class Diagnosed(NamedTuple):
     profile: Profile
 
 
-@quick_filter_jit
 def diagnose(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Diagnosed:
     """Diagnostics of a fix, without samples."""
+    if is_known((inputs, nominal, model)):
+        return diagnose_with_radii(inputs, nominal, model, jnp.asarray(LEVEL, jnp.float64))[0]
     model = model.at(inputs, nominal)
-    sweep = model.sweep(inputs, nominal)
-    facet, footprint = (propagate_sweep(inputs, nominal, model, sweep, slope) for slope in (FACET, FOOTPRINT))
+    sweep, cov_error = model.sweep(inputs, nominal), model.covariance()
+    (diagnostics, facet, footprint, profile), _ = _diagnose(inputs.terrain, nominal, sweep, cov_error, None)
+    facet, footprint = (propagation_of(nominal, model, cov_error, found) for found in (facet, footprint))
+    return Diagnosed(diagnostics, facet, footprint, profile)
+
+
+def diagnose_with_radii(
+    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, probability: Scalar
+) -> tuple[Diagnosed, Radii]:
+    """Diagnostics of a fix, and the circular, linear and spherical errors (2,) in m at a probability over the facet and
+    over the footprint; for arguments that are not traced."""
+    errors = derivatives(inputs, nominal, model)
+    found, radii = _diagnose_shared(inputs.terrain, nominal, errors.shared, probability)
+    diagnostics, *over, profile = found
+    facet, footprint = (errors.propagation(nominal, one) for one in over)
+    return Diagnosed(diagnostics, facet, footprint, profile), radii
+
+
+@quick_filter_jit
+def _diagnose_shared(
+    terrain: AbstractTerrain, nominal: NominalFix, shared: Shared, probability: Scalar
+) -> tuple[_Parts, Any]:
+    return _diagnose(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error, probability)
+
+
+def _diagnose(
+    terrain: AbstractTerrain,
+    nominal: NominalFix,
+    sweep: Sweep,
+    cov_error: Float[Array, "axes axes"],
+    probability: Scalar | None,
+) -> tuple[_Parts, Any]:
+    """Diagnostics from derivatives by the errors; and the radii at a probability, if one is given."""
+    facet, footprint = (over_slope(terrain, nominal, sweep, cov_error, slope) for slope in (FACET, FOOTPRINT))
     grazing = jnp.abs(jnp.cos(jnp.asarray(nominal.fix.incidence_surface)))
     cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # stacked: the inverse of the integral is compiled once
     bias = jnp.stack([facet.bias_enu, footprint.bias_enu])
-    facet_ce, footprint_ce = circular_error(cov[:, :2, :2], 0.9, bias[:, :2])
-    facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
-    profile = profile_of(inputs.terrain, nominal, sweep, facet.cov_error, footprint.surface.normal)
+    levels = LEVEL if probability is None else jnp.stack([jnp.asarray(LEVEL), probability])[:, None]
+    circular = jnp.atleast_2d(circular_error(cov[:, :2, :2], levels, bias[:, :2]))
+    linear = jnp.atleast_2d(linear_error(cov[:, 2, 2], levels, bias[:, 2]))
+    profile = profile_of(terrain, nominal, sweep, cov_error, footprint.surface.normal)
     diagnostics = Diagnostics(
-        facet_ce,
-        footprint_ce,
-        profile.circular_error(0.9),
-        facet_le,
-        footprint_le,
-        profile.linear_error(0.9),
+        circular[0, 0],
+        circular[0, 1],
+        profile.circular_error(LEVEL),
+        linear[0, 0],
+        linear[0, 1],
+        profile.linear_error(LEVEL),
         profile.jumps,
         profile.fails,
         profile.clearance,
@@ -91,7 +140,8 @@ def diagnose(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Dia
         footprint.surface.known,
         profile.off,
     )
-    return Diagnosed(diagnostics, facet, footprint, profile)
+    radii = None if probability is None else (circular[1], linear[1], spherical_error(cov, probability, bias))
+    return (diagnostics, facet, footprint, profile), radii
 
 
 class Method(enum.IntEnum):

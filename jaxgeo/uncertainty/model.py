@@ -14,7 +14,7 @@ from jaxgeo._checks import as_float64
 from jaxgeo._record import Record
 from jaxgeo._typing import StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
-from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep, Tangents
 from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
 
 Root: TypeAlias = Float[Array, "..."]
@@ -102,6 +102,16 @@ class ErrorModel(Record):
     def sweep(self, inputs: ModelInputs, nominal: NominalFix) -> Sweep:
         """Derivatives of `ModelInputs.sweep` with respect to the error vector, at zero error."""
         return jax.jacfwd(lambda error: self.moved(inputs, error).sweep(nominal))(jnp.zeros(self.size))
+
+    def tangents(self, inputs: ModelInputs, nominal: NominalFix) -> Tangents:
+        """Derivatives of what `ModelInputs.sweep` depends on with respect to the error vector, at zero error."""
+
+        def reached(error: Error) -> Tangents:
+            moved = self.moved(inputs, error)
+            air = jax.tree.map(jnp.asarray, moved.air)
+            return Tangents(moved.ray(), air, -moved.terrain.clearance(nominal.p_ecef, nominal.cell))
+
+        return jax.jacfwd(reached)(jnp.zeros(self.size))
 
     def check(self, inputs: ModelInputs) -> None:
         """Raise as the sources do for invalid values, and for a source that does not apply to the observation."""

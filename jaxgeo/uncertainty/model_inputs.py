@@ -55,6 +55,17 @@ class Sweep(NamedTuple):
     ground: Float[Array, "*axes"]
 
 
+class Tangents(NamedTuple):
+    """Derivatives by the errors (last axis) of what a `Sweep` depends on, or that itself without errors.
+
+    `ray` is the straight line of sight, `air` the atmosphere, `ground` the height in m of the terrain above the fix.
+    """
+
+    ray: Ray
+    air: Any
+    ground: Float[Array, "*axes"]
+
+
 class NominalFix(NamedTuple):
     """Nominal fix of an observation, with its terrain cell and the local frame of offsets.
 
@@ -176,11 +187,7 @@ class ModelInputs(Record):
 
     def sweep(self, nominal: NominalFix) -> Sweep:
         """Offsets of this line of sight from the fix of `nominal`."""
-        ray = self._ray()
-        distance = implicit_root(_clearance, nominal.distance, (ray, self.terrain, nominal.cell))
-        offset = lambda distance: nominal.R_ecef_from_enu.T @ (ray.at(distance) - nominal.p_ecef)  # noqa: E731
-        ground = -self.terrain.clearance(nominal.p_ecef, nominal.cell)
-        return Sweep(offset(distance), offset(nominal.distance), offset(nominal.distance + FARTHER), ground)
+        return swept_by(self.ray(), self.air, self.terrain, nominal)
 
     def fix_offset(self, nominal: NominalFix, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
         """(offset in m of this fix from `nominal`, in east, north, up at `nominal`; status)."""
@@ -213,12 +220,12 @@ class ModelInputs(Record):
         time = jnp.asarray(as_float64(self.time, "time"))
         return located_anywhere(self.sensor, self.motion, time, self.uv, self.terrain, search, self.air)
 
-    def _ray(self) -> Ray:
-        """The line of sight, or a substitute ray if it is not finite."""
+    def ray(self) -> Ray:
+        """The straight line of sight, or a substitute ray if it is not finite."""
         origin, direction, _ = line_of_sight(self.sensor, self.motion, jnp.asarray(self.time), self.uv)
         sound = jnp.all(jnp.isfinite(origin)) & jnp.all(jnp.isfinite(direction))
         stand_in = Ray(jnp.array([WGS84.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))
-        return tree_where(sound, Ray(origin, direction), stand_in).through(self.air)
+        return tree_where(sound, Ray(origin, direction), stand_in)
 
 
 def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
@@ -232,7 +239,7 @@ def _nominal_fix(inputs: ModelInputs, search: AbstractSearch) -> NominalFix:
     terrain, _ = inputs.terrain.made_safe()
     fix, bracket = inputs._located(search)
     seen = fix.found
-    ray = tree_where(seen, inputs._ray(), terrain.safe_ray().through(inputs.air))
+    ray = tree_where(seen, inputs.ray(), terrain.safe_ray()).through(inputs.air)
     bracket = tree_where(seen, bracket, jax.tree.map(jnp.zeros_like, bracket))
     distance = polish(ray, terrain, bracket) if inputs.air is not None else jnp.where(seen, fix.slant_range, 1000.0)
     p_ecef = ray.at(distance)
@@ -241,6 +248,36 @@ def _nominal_fix(inputs: ModelInputs, search: AbstractSearch) -> NominalFix:
     return NominalFix(fix, p_ecef, distance, bracket.cell, R.T @ (arriving / safe_norm(arriving)), R)
 
 
-def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, Array]) -> Scalar:
-    ray, terrain, cell = world
-    return terrain.clearance(ray.at(distance), cell)
+def swept_by(
+    ray: Ray, air: Atmosphere | None, terrain: AbstractTerrain, nominal: NominalFix, raised: Scalar | None = None
+) -> Sweep:
+    """Offsets of a straight line of sight, refracted by `air`, from a fix; of a terrain that lies `raised` m higher."""
+    ray = ray.through(air)
+    distance = implicit_root(_clearance, nominal.distance, (ray, terrain, nominal.cell, raised))
+    offset = lambda distance: nominal.R_ecef_from_enu.T @ (ray.at(distance) - nominal.p_ecef)  # noqa: E731
+    ground = -_clearance_at(nominal.p_ecef, terrain, nominal.cell, raised)
+    return Sweep(offset(distance), offset(nominal.distance), offset(nominal.distance + FARTHER), ground)
+
+
+def sweep_of(base: Tangents, terrain: AbstractTerrain, nominal: NominalFix, by_error: Tangents) -> Sweep:
+    """Derivatives of `ModelInputs.sweep` by the errors, from those of the line of sight, the air and the ground.
+
+    The chain rule over these keeps what is slow to compile the same for all error models. To first order only: the
+    ground's derivative is that at the fix.
+    """
+
+    def swept(ray: Ray, air: Any, raised: Scalar) -> Sweep:
+        return swept_by(ray, air, terrain, nominal, raised)
+
+    along = lambda one: jax.jvp(swept, (base.ray, base.air, jnp.zeros(())), tuple(one))[1]  # noqa: E731
+    return jax.vmap(along, in_axes=-1, out_axes=-1)(by_error)
+
+
+def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, Array, Scalar | None]) -> Scalar:
+    ray, terrain, cell, raised = world
+    return _clearance_at(ray.at(distance), terrain, cell, raised)
+
+
+def _clearance_at(p_ecef: Vector3, terrain: AbstractTerrain, cell: Array, raised: Scalar | None) -> Scalar:
+    clearance = terrain.clearance(p_ecef, cell)
+    return clearance if raised is None else clearance - raised

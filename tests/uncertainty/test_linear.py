@@ -13,6 +13,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot
 from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sources
+from jaxgeo.uncertainty.linear import AXES, derivatives
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
@@ -161,3 +162,50 @@ def test_circular_error_is_differentiable_in_a_sigma(scene) -> None:
     ce90 = jax.jit(ce90)
     slope, step = jax.grad(ce90)(1e-3), 1e-6
     assert float(slope) == pytest.approx(float(ce90(1e-3 + step) - ce90(1e-3 - step)) / (2.0 * step), rel=1e-5)
+
+
+@eqx.filter_jit
+def _swept(inputs: ModelInputs, nominal, model: ErrorModel):
+    return model.at(inputs, nominal).sweep(inputs, nominal)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    ["level", pytest.param("all in air", marks=pytest.mark.slow), pytest.param("trajectory", marks=pytest.mark.slow)],
+)
+def test_derivatives_by_way_of_the_line_of_sight_are_those_through_the_whole_model(scene: str) -> None:
+    """Of every source; the axes of zeros that models share programs by stay zero."""
+    model = looks.all_sources() if scene == "all in air" else looks.few_sources()
+    where, time = (looks.trajectory(), 0.0) if scene == "trajectory" else (looks.shot(), None)
+    ground = ConstantHeight(120.0) if scene == "level" else looks.dem()
+    air = looks.AIR if scene == "all in air" else None
+    inputs = ModelInputs.of(looks.sensor(), where, looks.UV, ground, time=time, atmosphere=air)
+    nominal = inputs.nominal_fix(SEARCH)
+    whole = _swept(inputs, nominal, model)
+    errors = derivatives(inputs, nominal, model)
+    assert errors.shared.cov_error.shape[0] % AXES == 0
+    by_way = jax.jit(lambda shared: shared.sweep(inputs.terrain, nominal))(errors.shared)
+    for name, one, other in zip(whole._fields, by_way, whole, strict=True):
+        np.testing.assert_allclose(
+            one[..., : model.size], other, rtol=1e-9, atol=1e-9 * np.abs(other).max(), err_msg=name
+        )
+        assert not np.any(one[..., model.size :])
+    np.testing.assert_array_equal(errors.shared.cov_error[: model.size, : model.size], errors.cov_error)
+    assert np.trace(errors.shared.cov_error) == pytest.approx(np.trace(errors.cov_error))
+
+
+def test_another_model_compiles_its_own_derivatives_only() -> None:
+    scene = looks.sensor(), looks.shot(), looks.UV, ConstantHeight(120.0)
+    position, attitude = looks.few_sources().sources[:2]
+    jaxgeo.accuracy(*scene, (position,))
+    compiled: list[str] = []
+
+    def on(name: str, _: float, **about: object) -> None:
+        if name.endswith("jaxpr_trace_duration"):
+            compiled.append(str(about.get("fun_name")))
+
+    jax.monitoring.register_event_duration_secs_listener(on)
+    jaxgeo.accuracy(*scene, (position, attitude))
+    jax.monitoring.unregister_event_duration_listener(on)
+    assert "derivatives" in compiled
+    assert not {"_nominal_fix", "_diagnose_shared", "circular_error", "spherical_error"} & set(compiled)
