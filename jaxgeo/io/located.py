@@ -69,7 +69,7 @@ def accuracy_of_observations(
     progress bars. Raises as `accuracy`.
     """
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
-    has_fix = np.isin(fixes.status, [int(one) for one in Status if counts_as_fix(one.code)])
+    has_fix = _have_fix(fixes)
     sampling, found, rows = Sampling(count=count, progress=progress), [], []
     for batch, ground in _pairs(observed, terrain):
         index = np.flatnonzero(has_fix[batch.rows])
@@ -93,8 +93,11 @@ def located_with_accuracy(
     ((batch, ground),) = _pairs(observed, terrain)
     found = _accuracy_of(batch, ground, np.arange(1), probability, Sampling(count=SAMPLES))
     fix = jax.tree.map(np.asarray, found.fix)
-    is_fix = counts_as_fix(fix.status).all()
-    return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if is_fix else None
+    return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if _have_fix(fix).all() else None
+
+
+def _have_fix(fixes: Fix) -> np.ndarray:
+    return np.isin(fixes.status, [int(one) for one in Status if counts_as_fix(one.code)])
 
 
 def _accuracy_of(

@@ -11,12 +11,13 @@ import numpy as np
 from jaxgeo._checks import as_array, as_float64, is_known
 from jaxgeo._compile import long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
+from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
 from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
 from jaxgeo.uncertainty.map_cells import Request
-from jaxgeo.uncertainty.method_selection import Diagnosed, Method, Radii, diagnose_with_radii
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnosed, Diagnostics, Method, Radii, diagnose_with_radii
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
@@ -133,6 +134,11 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
     """The same of one exposure, by the programs of a call of `accuracy` for it."""
     inputs, model = _inputs_of(given)
     nominal = inputs.nominal_fix(request.search)
+    if not bool(counts_as_fix(jnp.asarray(nominal.fix.status))):
+        unknown = jnp.asarray(np.nan)
+        diagnostics = Diagnostics(*[unknown] * len(Diagnostics._fields))
+        cov, bias = (jnp.asarray(np.full(shape, np.nan)) for shape in ((3, 3), 3))
+        return nominal, LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics), (unknown, unknown, unknown)
     found, radii = diagnose_with_radii(inputs, nominal, model, request.probability)
     return nominal, *_selected(found, radii, nominal)
 
