@@ -31,6 +31,7 @@ from jaxgeo._checks import enable_x64
 from jaxgeo._locate import at_range, intersect, locate, project
 from jaxgeo._program_cache import keep_programs
 from jaxgeo._renamed import renamed
+from jaxgeo._sweep import Axis, sweep
 from jaxgeo.batches import in_batches
 from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
 __all__ = [
     "WGS84",
     "Atmosphere",
+    "Axis",
     "Bisection",
     "BrownConrady",
     "ConstantHeight",
@@ -117,6 +119,7 @@ __all__ = [
     "register",
     "sample",
     "spherical_error",
+    "sweep",
     "uncertainty",
 ]
 

@@ -12,7 +12,8 @@ from support.numpy_in_jit import numpy_in_jitted_code
 LAYERS = [
     (
         "_typing _checks _compile _elementary _numerics _record status least_squares _destination _partial "
-        "_interruption _program_cache _program_store _text_numbers _command _renamed _refusals batches"
+        "_interruption _program_cache _program_store _text_numbers _command _renamed _refusals batches "
+        "_sweep _sweep_store"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
@@ -39,6 +40,7 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"_compile", "_program_cache"}),
     frozenset({"_compile", "_program_store"}),
     frozenset({"batches", "_compile"}),
+    frozenset({"_sweep", "_sweep_store"}),
     frozenset({"_record", "_checks"}),
     frozenset({"_destination", "_partial"}),
     frozenset({"_partial", "_interruption"}),
@@ -60,6 +62,7 @@ STATIC_NUMPY = {
     ("jaxgeo/sensor/pointing.py", "out_of_range"): "writes an error message, after `concrete` gave the status",
     ("jaxgeo/sensor/pointing.py", "_named"): "the same",
     ("jaxgeo/uncertainty/chunks.py", "_mesh"): "makes an array of devices",
+    ("jaxgeo/uncertainty/linear.py", "Derivatives.propagation"): "is called with known arguments only",
 }
 
 

@@ -1,0 +1,334 @@
+"""Parameter studies: a function over the product of named axes, as an xarray dataset; in parallel, and resumable."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import functools
+import importlib.metadata
+import inspect
+import itertools
+import math
+import os
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxgeo._sweep_store import Results, Store, digest_of
+
+if TYPE_CHECKING:
+    import xarray
+
+BLOCK = 256  # cells of a task, and of the compiled program
+AHEAD = 64  # tasks submitted before the first of them is done
+
+
+class Axis(NamedTuple):
+    """Axis of a `sweep`: values, their unit, and a label for each value that is not a number or a text."""
+
+    values: Sequence[Any]
+    unit: str = ""
+    labels: Sequence[str] | None = None
+
+
+class _Plan(NamedTuple):
+    """Axes of numbers, vectorised, and of other values, one program for each combination; block shape of the former."""
+
+    names: tuple[str, ...]
+    numeric: dict[str, np.ndarray]
+    others: dict[str, list[Any]]
+    coordinates: dict[str, tuple[Any, str]]
+    block: tuple[int, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(len(self.coordinates[name][0]) for name in self.names)
+
+    def regions(self) -> Iterator[tuple[slice, ...]]:
+        """Places of the blocks along all axes, in order."""
+        steps = dict(zip(self.numeric, self.block, strict=True))
+        places = []
+        for name, count in zip(self.names, self.shape, strict=True):
+            step = steps.get(name, 1)
+            places.append([slice(first, min(first + step, count)) for first in range(0, count, step)])
+        yield from itertools.product(*places)
+
+    def cells(self, region: tuple[slice, ...]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """(numbers of each cell of a block, other values)."""
+        place = dict(zip(self.names, region, strict=True))
+        mesh = np.meshgrid(*(values[place[name]] for name, values in self.numeric.items()), indexing="ij")
+        numbers = {name: values.ravel() for name, values in zip(self.numeric, mesh, strict=True)}
+        return numbers, {name: values[place[name].start] for name, values in self.others.items()}
+
+
+def sweep(
+    function: Callable[..., Any],
+    axes: Mapping[str, Any],
+    *,
+    units: Mapping[str, str] | None = None,
+    dims: Mapping[str, Sequence[str]] | None = None,
+    vectorize: bool = True,
+    block: int = BLOCK,
+    folder: str | os.PathLike[str] | None = None,
+    version: str = "",
+    executor: Any = None,
+    progress: bool = False,
+) -> xarray.Dataset:
+    """`function(**cell)` for every combination of the values of `axes`, as an `xarray.Dataset` with these dimensions.
+
+    `axes` maps each argument of `function` to its values: numbers, texts, other objects (terrains, searches, cameras),
+    or an `Axis` of them with a unit or labels. The result of a cell is one number or array, or a mapping or named tuple
+    of several; `units` and `dims` give their units, and the names of the dimensions of arrays.
+
+    Axes of numbers are evaluated by `jax.jit(jax.vmap(function))`, in blocks of at most `block` cells of one shape: one
+    program for each combination of the other values. With `vectorize=False` the function is called for each cell, with
+    Python numbers: for functions that JAX cannot trace.
+
+    `executor` evaluates blocks in parallel: any `concurrent.futures.Executor` (with processes started by `spawn`), or a
+    `dask.distributed.Client`. The result does not depend on it. With a `folder` (a Zarr store) blocks are written as
+    they are done, and a later call with the same function, axes, block size and `version` computes only what is
+    missing; write another `version` if something changes that the code of `function` itself does not show. `progress`
+    shows a progress bar.
+
+    Raises `ValueError` for an axis without values, an argument without an axis, results of other names or shapes in
+    some cells, and a folder that holds something else; `RuntimeError` with the cell in its message if `function` raises
+    (finished blocks are kept); `ImportError` without xarray, or for a `folder` without zarr.
+
+    >>> def distance(height, off_nadir):
+    ...     return {"range": height / jnp.cos(jnp.deg2rad(off_nadir))}
+    >>> axes = {"height": jaxgeo.Axis([1000.0, 2000.0], "m"), "off_nadir": jaxgeo.Axis([0.0, 60.0], "deg")}
+    >>> found = jaxgeo.sweep(distance, axes, units={"range": "m"})  # doctest: +SKIP
+    >>> print(found["range"].sel(height=2000.0, off_nadir=60.0).item())  # doctest: +SKIP
+    4000.0
+    """
+    if not callable(function):
+        raise TypeError(f"function must be callable with the axes as keywords; got {type(function).__name__}.")
+    if isinstance(block, bool) or not isinstance(block, int | np.integer) or block < 1:
+        raise ValueError(f"block must be an integer of at least 1, the number of cells of a task; got {block!r}.")
+    plan = _plan(axes, int(block), vectorize)
+    _check_arguments(function, plan)
+    regions = list(plan.regions())
+    named_dims = {name: tuple(names) for name, names in (dims or {}).items()}
+    results = Results(plan.names, plan.coordinates, dict(units or {}), named_dims)
+    store = None if folder is None else Store(folder, _identity(function, plan, vectorize, version))
+    done = set() if store is None else store.read_into(results, regions)
+    task = _task(function, plan, vectorize, executor)
+    missing = [number for number in range(len(regions)) if number not in done]
+    for number, found in _computed(task, regions, missing, executor, progress):
+        results.put(regions[number], found)
+        if store is not None:
+            store.write(regions[number], results)
+    return results.dataset()
+
+
+def _plan(axes: Mapping[str, Any], most: int, vectorize: bool) -> _Plan:
+    """The axes, and the largest blocks of at most `most` cells: the last axes whole, as far as they fit."""
+    if not axes:
+        raise ValueError("axes is empty: give the values of each argument of the function.")
+    numeric, others, coordinates = {}, {}, {}
+    for name, given in axes.items():
+        axis = given if isinstance(given, Axis) else Axis(given)
+        if isinstance(axis.values, str) or not hasattr(axis.values, "__len__") or not len(axis.values):
+            raise ValueError(f"axis {name}: give a sequence of one or more values; got {axis.values!r}.")
+        values = list(axis.values)
+        numbers = None if axis.labels is not None else _numbers(values)
+        if numbers is None:
+            others[name] = values
+            coordinates[name] = (np.array(_labels(name, axis, values)), axis.unit)
+        else:
+            numeric[name] = numbers
+            coordinates[name] = (numbers, axis.unit)
+    block, left = [], most
+    for values in reversed(numeric.values()):
+        block.append(min(len(values), max(left, 1)))
+        left //= len(values)
+    return _Plan(tuple(axes), numeric, others, coordinates, tuple(reversed(block)))
+
+
+def _numbers(values: list[Any]) -> np.ndarray | None:
+    """The values as one array, if all are single numbers."""
+    if not all(isinstance(value, int | float | np.number | np.bool_) or _is_scalar(value) for value in values):
+        return None
+    return np.array([np.asarray(value)[()] for value in values])
+
+
+def _is_scalar(value: Any) -> bool:
+    return isinstance(value, np.ndarray | jax.Array) and value.ndim == 0 and np.issubdtype(value.dtype, np.number)
+
+
+def _labels(name: str, axis: Axis, values: list[Any]) -> list[str]:
+    labels = axis.labels
+    if labels is None:
+        labels = [value if isinstance(value, str) else type(value).__name__ for value in values]
+    labels = [str(label) for label in labels]
+    if len(labels) != len(values) or len(set(labels)) != len(labels):
+        raise ValueError(
+            f"axis {name}: {len(values)} values need as many different labels; got {', '.join(labels)}. Give them as "
+            f"Axis(values, labels=[...])."
+        )
+    return labels
+
+
+def _check_arguments(function: Callable[..., Any], plan: _Plan) -> None:
+    """Raise `ValueError` unless the function can be called with the axes as keywords."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # written in C
+        return
+    try:
+        signature.bind(**dict.fromkeys(plan.names))
+    except TypeError as error:
+        names = ", ".join(plan.names)
+        raise ValueError(f"axes must be the arguments of the function, {signature}; got {names}: {error}.") from None
+
+
+def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, version: str) -> dict[str, str]:
+    """What results depend on, by name: text of the function, values of each axis, blocks, versions."""
+    try:
+        text = inspect.getsource(function)
+    except (OSError, TypeError):
+        text = repr(function)
+    return {
+        "function": digest_of((getattr(function, "__qualname__", ""), text)),
+        **{f"axis {name}": digest_of(plan.numeric.get(name, plan.others.get(name))) for name in plan.names},
+        "block": str((plan.block, vectorize)),
+        "version": version,
+        "jaxgeo": _version(),
+        "jax": jax.__version__,
+        "64-bit floats": str(jax.config.jax_enable_x64),  # pyright: ignore
+    }
+
+
+def _computed(
+    task: Callable[..., Any],
+    regions: list[tuple[slice, ...]],
+    numbers: list[int],
+    executor: Any,
+    progress: bool,
+) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """(number, results) of blocks as they are done."""
+    with _bar(len(numbers), progress) as advance:
+        if executor is None:
+            for number in numbers:
+                yield number, task(regions[number])
+                advance()
+            return
+        submit = executor.get_executor(pure=False).submit if hasattr(executor, "get_executor") else executor.submit
+        waiting: dict[concurrent.futures.Future[Any], int] = {}
+        left = iter(numbers)
+        try:
+            while True:
+                for number in itertools.islice(left, AHEAD - len(waiting)):
+                    waiting[submit(task, regions[number])] = number
+                if not waiting:
+                    return
+                done, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
+                for future in done:
+                    yield waiting.pop(future), future.result()
+                    advance()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+@contextlib.contextmanager
+def _bar(total: int, progress: bool) -> Iterator[Callable[[], None]]:
+    if not progress:
+        yield lambda: None
+        return
+    from rich.progress import Progress  # optional, imported only if used
+
+    with Progress() as bar:
+        task = bar.add_task("sweep", total=total)
+        yield lambda: bar.advance(task)
+
+
+def _task(function: Callable[..., Any], plan: _Plan, vectorize: bool, executor: Any) -> Callable[..., Any]:
+    """What evaluates a block, given its place; for other processes packed, with the versions and settings of this."""
+    if executor is None or isinstance(executor, concurrent.futures.ThreadPoolExecutor):
+        return functools.partial(_block, function, plan, vectorize)
+    try:
+        from cloudpickle import dumps  # functions of a notebook, too
+    except ImportError:
+        from pickle import dumps
+    is_x64 = bool(jax.config.jax_enable_x64)  # pyright: ignore
+    return functools.partial(_block_elsewhere, dumps((function, plan, vectorize)), is_x64, _version())
+
+
+def _block_elsewhere(data: bytes, is_x64: bool, version: str, region: tuple[slice, ...]) -> dict[str, np.ndarray]:
+    if version != _version():
+        raise RuntimeError(
+            f"a worker has jaxgeo {_version()}, this process {version}: install the same version on all."
+        )
+    with jax.enable_x64(is_x64):
+        function, plan, vectorize = _unpacked(data)
+        return _block(function, plan, vectorize, region)
+
+
+@functools.lru_cache(maxsize=4)
+def _unpacked(data: bytes) -> tuple[Any, ...]:
+    """The same function for all blocks, so that it is compiled once."""
+    return pickle.loads(data)
+
+
+@functools.cache
+def _version() -> str:
+    return importlib.metadata.version("jaxgeo")
+
+
+def _block(
+    function: Callable[..., Any], plan: _Plan, vectorize: bool, region: tuple[slice, ...]
+) -> dict[str, np.ndarray]:
+    """Results (cells, ...) of a block."""
+    numbers, others = plan.cells(region)
+    count = len(next(iter(numbers.values()), [None]))
+    if vectorize and numbers:
+        rows = np.minimum(np.arange(math.prod(plan.block)), count - 1)  # padded with the last cell
+        try:
+            found = _program(function)({name: values[rows] for name, values in numbers.items()}, others)
+            return {name: np.asarray(value)[:count] for name, value in found.items()}
+        except Exception as error:
+            where = ", ".join(f"{name}={_shown(value)}" for name, value in others.items())
+            raise _told(error, f"a block of {count} cells{where and ' with ' + where}") from error
+    each: list[dict[str, np.ndarray]] = []
+    for k in range(count):
+        cell = {name: values[k].item() for name, values in numbers.items()} | others
+        try:
+            each.append({name: np.asarray(value) for name, value in _named(function, function(**cell)).items()})
+        except Exception as error:
+            where = ", ".join(f"{name}={_shown(cell[name])}" for name in plan.names)
+            raise _told(error, f"the cell {where}") from error
+    shapes = {tuple((name, value.shape) for name, value in one.items()) for one in each}
+    if len(shapes) > 1:
+        raise ValueError(f"results must have the same names and shapes in all cells; got {sorted(shapes)}.")
+    return {name: np.stack([one[name] for one in each]) for name in each[0]}
+
+
+def _told(error: Exception, where: str) -> RuntimeError:
+    return RuntimeError(f"the function raised {type(error).__name__} in {where}: {error}")
+
+
+def _shown(value: Any) -> str:
+    return repr(value) if isinstance(value, int | float | str) else type(value).__name__
+
+
+def _named(function: Callable[..., Any], found: Any) -> dict[str, Any]:
+    """Results of a cell by name."""
+    if hasattr(found, "_asdict"):
+        found = found._asdict()
+    if isinstance(found, Mapping):
+        return dict(found)
+    return {getattr(function, "__name__", "result"): found}
+
+
+@functools.lru_cache(maxsize=64)
+def _program(function: Callable[..., Any]) -> Callable[..., Any]:
+    @eqx.filter_jit
+    def of_block(numbers: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
+        return jax.vmap(lambda cell: _named(function, function(**cell, **others)))(numbers)
+
+    return of_block

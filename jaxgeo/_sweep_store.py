@@ -1,0 +1,179 @@
+"""Results of a parameter study in memory, and in a Zarr store that later runs complete."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import pathlib
+import pickle
+import tempfile
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray
+
+STUDY, FINISHED = "sweep", "finished"  # attribute and variable of the store
+Region = tuple[slice, ...]
+
+
+class Results:
+    """Arrays over the axes of a study, filled block by block; NaN (zero for integers) where not yet computed."""
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        coordinates: Mapping[str, tuple[np.ndarray, str]],
+        units: Mapping[str, str],
+        dims: Mapping[str, tuple[str, ...]],
+    ) -> None:
+        self._xarray = _xarray()
+        self.names, self._coordinates, self._units, self._dims = names, coordinates, units, dims
+        self.shape = tuple(len(coordinates[name][0]) for name in names)
+        self.arrays: dict[str, np.ndarray] = {}
+
+    def put(self, region: Region, found: Mapping[str, np.ndarray]) -> None:
+        """Fill a block with results (cells, ...); raises `ValueError` for other names or shapes than before."""
+        kinds = {name: values.shape[1:] for name, values in found.items()}
+        before = {name: array.shape[len(self.shape) :] for name, array in self.arrays.items()}
+        if self.arrays and kinds != before:
+            raise ValueError(f"results must have the same names and shapes in all cells; got {before} and {kinds}.")
+        block = tuple(place.stop - place.start for place in region)
+        for name, values in found.items():
+            if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool):
+                raise ValueError(f"results must be numbers or flags; {name} is {values.dtype}.")
+            if name not in self.arrays:
+                self._check(name, values.shape[1:])
+                self.arrays[name] = _blank((*self.shape, *values.shape[1:]), values.dtype)
+            if not np.can_cast(values.dtype, self.arrays[name].dtype):
+                raise ValueError(
+                    f"results must be of one type in all cells; {name} is {self.arrays[name].dtype} in some and "
+                    f"{values.dtype} in others. Convert it with float(...)."
+                )
+            self.arrays[name][region] = values.reshape(*block, *values.shape[1:])
+
+    def dims_of(self, name: str) -> tuple[str, ...]:
+        """Names of the dimensions of a result."""
+        more = self.arrays[name].ndim - len(self.names)
+        return (*self.names, *self._dims.get(name, tuple(f"{name}_{k}" for k in range(more))))
+
+    def dataset(self) -> xarray.Dataset:
+        """All results with their axes."""
+        variables = {
+            name: (self.dims_of(name), array, {"units": self._units[name]} if name in self._units else {})
+            for name, array in self.arrays.items()
+        }
+        coordinates = {
+            name: ((name,), values, {"units": unit} if unit else {})
+            for name, (values, unit) in self._coordinates.items()
+        }
+        return self._xarray.Dataset(variables, coords=coordinates)
+
+    def open(self, path: pathlib.Path) -> xarray.Dataset:
+        """A dataset of an earlier run."""
+        return self._xarray.open_zarr(path)
+
+    def _check(self, name: str, shape: tuple[int, ...]) -> None:
+        if name in (*self.names, FINISHED):
+            raise ValueError(f"the result {name} has the name of an axis or of a flag; name it otherwise.")
+        if len(self._dims.get(name, shape)) != len(shape):
+            raise ValueError(
+                f"dims names {len(self._dims[name])} dimensions of {name} ({', '.join(self._dims[name])}), but its "
+                f"shape in a cell is {shape}."
+            )
+
+
+def _blank(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    return np.full(shape, np.nan, dtype) if np.issubdtype(dtype, np.inexact) else np.zeros(shape, dtype)
+
+
+class Store:
+    """A Zarr store with the results of a study: what they depend on as an attribute, and a flag of each finished cell.
+
+    Blocks are written first and flagged then, so that a process may end at any time.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], identity: Mapping[str, str]) -> None:
+        self._path, self._identity = pathlib.Path(folder), dict(identity)
+        _require_zarr()
+
+    def read_into(self, results: Results, regions: Sequence[Region]) -> set[int]:
+        """Numbers of the finished blocks, whose results are read; raises `ValueError` if the folder holds something
+        else."""
+        if not self._path.exists():
+            return set()
+        try:
+            with results.open(self._path) as kept:
+                identity = dict(json.loads(kept.attrs[STUDY]))
+                arrays = {str(name): np.array(values.to_numpy()) for name, values in kept.data_vars.items()}
+                finished = arrays.pop(FINISHED)
+        except Exception:  # whatever another file causes
+            raise ValueError(f"folder {self._path} holds something that is not a sweep; give another one.") from None
+        others = [name for name in {**identity, **self._identity} if identity.get(name) != self._identity.get(name)]
+        if others:
+            raise ValueError(
+                f"folder {self._path} holds another sweep, with other values of: {', '.join(others)}. Give another "
+                f"folder, or remove this one."
+            )
+        results.arrays = arrays
+        return {number for number, region in enumerate(regions) if finished[region].all()}
+
+    def write(self, region: Region, results: Results) -> None:
+        """Write a block, then note that it is finished."""
+        dataset, place = results.dataset(), dict(zip(results.names, region, strict=True))
+        if not self._path.exists():
+            self._create(region, results, dataset)
+            return
+        part = dataset.isel(place).drop_vars(list(dataset.coords))
+        part.to_zarr(self._path, region=place, consolidated=False, safe_chunks=False)
+        shape = tuple(part.sizes[name] for name in results.names)
+        flags = part.drop_vars(list(part.data_vars)).assign({FINISHED: (results.names, np.ones(shape, bool))})
+        flags.to_zarr(self._path, region=place, consolidated=False, safe_chunks=False)
+
+    def _create(self, region: Region, results: Results, dataset: xarray.Dataset) -> None:
+        """The store with its first block; whole or not at all."""
+        finished = np.zeros(results.shape, bool)
+        finished[region] = True
+        dataset = dataset.assign({FINISHED: (results.names, finished)})
+        dataset.attrs[STUDY] = json.dumps(self._identity)
+        chunks = [place.stop - place.start for place in region]
+        encoding = {name: {"chunks": (*chunks, *x.shape[len(chunks) :])} for name, x in dataset.data_vars.items()}
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=self._path.parent, prefix=f".{self._path.name}-") as folder:
+            dataset.to_zarr(pathlib.Path(folder) / "new", encoding=encoding, consolidated=True, zarr_format=2)
+            (pathlib.Path(folder) / "new").rename(self._path)
+
+
+def digest_of(value: Any) -> str:
+    """Short digest of numbers, texts and records by value."""
+    leaves, structure = jax.tree.flatten(value)
+    sha = hashlib.sha256(str(structure).encode())
+    for leaf in leaves:
+        if isinstance(leaf, np.ndarray | np.generic | jax.Array | int | float | complex):
+            array = np.asarray(leaf)
+            sha.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+            continue
+        with contextlib.suppress(Exception):  # what cannot be pickled counts by its name only
+            sha.update(pickle.dumps(leaf, protocol=5))
+        sha.update(str(getattr(leaf, "__qualname__", type(leaf).__qualname__)).encode())
+    return sha.hexdigest()[:16]
+
+
+def _xarray() -> Any:
+    try:
+        import xarray
+    except ImportError:
+        raise ImportError("a sweep is an xarray dataset: pip install 'jaxgeo[xarray]'") from None
+    return xarray
+
+
+def _require_zarr() -> None:
+    try:
+        import zarr  # noqa: F401  # pyright: ignore
+    except ImportError:
+        raise ImportError("a sweep is written to a Zarr store by zarr: pip install 'jaxgeo[xarray]'") from None
