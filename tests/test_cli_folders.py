@@ -398,3 +398,52 @@ def test_errors_of_a_lens_of_a_scene_are_those_of_the_image_at_its_size(flight: 
         assert result.exit_code == 0, result.output
         found.append(json.loads(result.stdout)["fixes"][0]["ce90_m"])
     assert found[0] == pytest.approx(found[1], rel=1e-3)
+
+
+def in_shards(count: int, *arguments: str | pathlib.Path) -> list[str]:
+    """Rows of all parts of a command, one after the other, without their headers."""
+    rows: list[str] = []
+    for number in range(1, count + 1):
+        result = run("locate", *arguments, "--format", "csv", "--no-accuracy", "--shard", f"{number}/{count}")
+        assert result.exit_code == 0, result.stderr
+        rows += result.stdout.splitlines()[1:]
+    return rows
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_parts_of_a_folder_are_the_whole(flight: pathlib.Path, count: int) -> None:
+    """Also where one file of a part cannot be read."""
+    whole = run("locate", flight, *GROUND, "--format", "csv", "--no-accuracy").stdout.splitlines()[1:]
+    assert len(whole) == 5
+    assert [row.split(",")[0] for row in in_shards(count, flight, *GROUND)] == [row.split(",")[0] for row in whole]
+    for one, other in zip(in_shards(count, flight, *GROUND), whole, strict=True):
+        numbers, expected = ([float(x) for x in row.split(",")[1:8] if x] for row in (one, other))
+        np.testing.assert_allclose(numbers, expected, rtol=1e-12)
+
+
+def test_parts_of_one_file_are_of_its_rows(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "flight.klv"
+    path.write_bytes(b"".join(local_set(usual(tag_13=36.318 + 0.001 * k)) for k in range(7)))
+    whole = read_observations(path)
+    parts = [read_observations(path, shard=(number, 3)) for number in (1, 2, 3)]
+    assert [len(part) for part in parts] == [2, 2, 3]
+    assert [row for part in parts for row in part.columns] == whole.columns
+    for name in ("lat", "lon", "height"):
+        each = [np.asarray(getattr(part.batches[0].shots.pose.position, name)) for part in parts]
+        np.testing.assert_array_equal(np.concatenate(each), getattr(whole.batches[0].shots.pose.position, name))
+
+
+@pytest.mark.parametrize(
+    "shard, words",
+    [
+        ("0/3", "--shard 0/3: give I/N, part I (from 1) of N, e.g. --shard 3/16."),
+        ("4/3", "--shard 4/3: give I/N"),
+        ("2", "--shard 2: give I/N"),
+        ("a/b", "--shard a/b: give I/N"),
+        ("1/6", "shard 1/6: there are only 5 files; use 5 shards or fewer."),
+    ],
+)
+def test_parts_that_there_are_not(flight: pathlib.Path, shard: str, words: str) -> None:
+    result = run("locate", flight, *GROUND, "--shard", shard)
+    assert result.exit_code == 2
+    assert words in result.stderr.replace("\n", " ")

@@ -96,14 +96,14 @@ LINES = [
     "point --scene scene.toml --line-of-sight 250,18.5 --pixel 1200,2400 --json",
 ]
 LONG_LINES = [
-    f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --debug",
+    f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --shard 1/1 --debug",
     "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
     "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --principal-sigma 2,1px "
     "--dem-sigma 4 --refraction -o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
     "report DJI_0042.JPG --height-datum ellipsoid --ground 300 --vertical-datum EPSG:5773 --pixel 10,20 --exposure "
     "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
     "--principal-sigma 2px --dem-sigma 4 --title Title --details 1 -o out.html --json --debug",
-    f"report {SCENE} --shots shots.csv --details 0 -o out.html",
+    f"report {SCENE} --shots shots.csv --shard 1/1 --details 0 -o out.html",
     f"footprint {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --height-datum ellipsoid --tolerance 30 "
     "-o out.geojson --crs EPSG:32616 --edges --json --debug",
     f"point {SCENE} --target 36.27,-84.268,900 --vertical-datum EPSG:5773 --height-datum ellipsoid --json --debug",

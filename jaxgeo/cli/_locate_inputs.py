@@ -112,6 +112,7 @@ def _observations(options: LocateOptions) -> jaxgeo.io.Observations:
             scene=given.scene,
             shots=given.shots,
             exposures=given.exposures or (),
+            shard=given.part,
             progress=progress,
             **options.reading.arguments,
         )

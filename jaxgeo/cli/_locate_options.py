@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
+import re
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -54,6 +55,20 @@ class ObservationOptions(OptionGroup):
         list[str] | None,
         typer.Option("--exposure", metavar="NAME", help="Exposure name (repeatable; default: all)."),
     ] = None
+    shard: Annotated[
+        str | None,
+        typer.Option("--shard", metavar="I/N", help="Part I of N of the files, or of the rows of one: for N jobs."),
+    ] = None
+
+    @property
+    def part(self) -> tuple[int, int] | None:
+        """The number and count of --shard. Raises `UserError`."""
+        if self.shard is None:
+            return None
+        found = re.fullmatch(r"([0-9]+)/([0-9]+)", self.shard)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise UserError(f"--shard {self.shard}: give I/N, part I (from 1) of N, e.g. --shard 3/16.")
+        return int(found[1]), int(found[2])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -137,6 +152,7 @@ class LocateOptions:
         found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
         if len(self.files) > 1:
             found["files"] = [str(path) for path in self.files]
+        found |= {} if given.shard is None else {"shard": given.shard}
         found |= {"dem": list(ground.dem)} if ground.dem else {"ground": ground.level}
         found |= {f"dem_{name.removeprefix('dem_')}": value for name, value in ground.of_files.items()}
         if ground.vertical_datum is not None:
@@ -160,6 +176,7 @@ class LocateOptions:
     def check(self) -> None:
         """Raises `UserError` for options that contradict each other."""
         given, ground = self.of_images, self.ground
+        _ = given.part  # raises
         if not self.files and given.scene is None:
             raise UserError("give a FILE that jaxgeo inspect reads, or --scene SCENE.toml.")
         if len(self.files) > 1:

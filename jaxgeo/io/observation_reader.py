@@ -18,6 +18,7 @@ from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet, Unread, for_each
 from jaxgeo.io.acquisitions._exposure_names import number_in_file
 from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, form_of
 from jaxgeo.io.acquisitions.sentences import merged_sentences
+from jaxgeo.io.acquisitions.several import files_of, shard_of
 from jaxgeo.io.acquisitions.usual_errors import usual_errors_of
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.given_camera import AS_GIVEN
@@ -47,6 +48,7 @@ def read_observations(
     scene: Path | None = None,
     shots: Path | None = None,
     exposures: Sequence[str] = (),
+    shard: tuple[int, int] | None = None,
     progress: Callable[[int, int], object] | None = None,
     **how: Any,
 ) -> Observations:
@@ -57,6 +59,9 @@ def read_observations(
       to drone images its camera, lens errors and atmosphere. `exposures` are names, by default all. Files that state
       no errors get default ones (`with_usual_errors`). A file that cannot be read among others is `unread`.
     - or one scene file (.toml, or as `scene`), or a scene with `shots`: a CSV with a shot and a pixel per row.
+
+    A `shard` (number from 1, count) is one of `count` consecutive parts, which together are the whole: of the files if
+    there are several, else of the exposures or rows.
 
     Raises as `read_acquisitions` and `read_scene`; `TableError` if no file can be read, for exposures without a camera,
     a scene for files that have one, an unknown name, and options that contradict each other.
@@ -82,14 +87,17 @@ def read_observations(
             raise TableError(f"{name}= does not apply to scene files; leave it out.")
         if exposures:
             raise TableError("exposures= needs a file of exposures; a scene has only one.")
-        return _of_scene(pathlib.Path(path), pixels, shots)
+        return _of_scene(pathlib.Path(path), pixels, shots, shard)
     if shots is not None:
         raise TableError(f'shots="{shots}": use it with scene=, not with {_named(files)}.')
     by_scene = scene is not None and _are_images(files, scene)
     if by_scene and how.get("camera") is not None:
         raise TableError(f'scene="{scene}" and camera="{how["camera"]}": both give a camera; leave one out.')
-    found = read_files(files, progress=progress, **(how | {"camera": scene} if by_scene else how))
-    return _observed(found, pixels, files, None if scene is None else pathlib.Path(scene), exposures, by_scene)
+    is_one = shard is not None and len(files_of(files)[0]) == 1
+    how = how | {"camera": scene} if by_scene else how
+    found = read_files(files, shard=None if is_one else shard, progress=progress, **how)
+    scene_file = None if scene is None else pathlib.Path(scene)
+    return _observed(found, pixels, files, scene_file, exposures, by_scene, shard if is_one else None)
 
 
 def observations_of(
@@ -107,7 +115,11 @@ def observations_of(
 
 
 def read_files(
-    files: Sequence[pathlib.Path], *, progress: Callable[[int, int], object] | None = None, **how: Any
+    files: Sequence[pathlib.Path],
+    *,
+    shard: tuple[int, int] | None = None,
+    progress: Callable[[int, int], object] | None = None,
+    **how: Any,
 ) -> AcquisitionSet:
     """Exposures of files and folders; a single file raises its own error.
 
@@ -116,7 +128,7 @@ def read_files(
     if len(files) == 1 and not files[0].is_dir():
         one = read_acquisition(files[0], **how)
         return AcquisitionSet((one,), (np.arange(len(one)),), (), one.assumed)
-    found = read_acquisitions(files, progress=progress, **how)
+    found = read_acquisitions(files, shard=shard, progress=progress, **how)
     if found.parts:
         return found
     first, *others = sorted(found.unread, key=lambda one: is_refusal(one.error))  # internal errors first
@@ -151,7 +163,9 @@ def check_stated(table: ShotTable, path: Path, gimbal: Gimbal, height_datum: str
             )
 
 
-def _of_scene(path: pathlib.Path, pixels: ArrayLike | None, shots: Path | None) -> Observations:
+def _of_scene(
+    path: pathlib.Path, pixels: ArrayLike | None, shots: Path | None, shard: tuple[int, int] | None
+) -> Observations:
     """Observations of a scene's own shot, or of a table of shots."""
     scene = read_scene(path)
     columns: list[Row]
@@ -172,6 +186,9 @@ def _of_scene(path: pathlib.Path, pixels: ArrayLike | None, shots: Path | None) 
         except (OutsideDatum, VerticalDatumError) as error:
             raise SceneError(f"{path}, with the heights of {shots}: {error}") from error
         columns = table.rows
+    if shard is not None:
+        rows = np.array(shard_of(len(columns), shard, "rows"))
+        motion, uv, columns = _items(motion, rows), np.asarray(uv)[rows], [columns[row] for row in rows]
     sources = () if scene.errors is None else tuple(scene.errors.sources)
     observation = Observation(Exposure(scene.sensor, motion, None, scene.atmosphere), uv)
     batch = ObservationBatch(observation, sources, np.arange(len(uv)), is_one_camera=True)
@@ -195,6 +212,7 @@ def _observed(
     scene_file: pathlib.Path | None,
     exposures: Sequence[str],
     by_scene: bool,
+    shard: tuple[int, int] | None = None,
 ) -> Observations:
     """Pixels of the named exposures; `by_scene`: the camera of drone images was already read from the scene."""
     assumed = found.assumed
@@ -208,7 +226,10 @@ def _observed(
     lanes: list[list[tuple[int, int]]] = [[] for _ in found.parts]  # (row, exposure) of each part
     columns: list[Row] = []
     reasons: dict[int, Unread] = {}
-    for place in _chosen(found, exposures, sorted([*where, *unread])):
+    chosen = _chosen(found, exposures, sorted([*where, *unread]))
+    if shard is not None:
+        chosen = [chosen[k] for k in shard_of(len(chosen), shard, "exposures")]
+    for place in chosen:
         if place in unread:
             reasons[len(columns)] = unread[place]
             columns.append(_columns(_name(unread[place], found), math.nan, None, None, has_times))

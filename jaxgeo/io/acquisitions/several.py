@@ -67,7 +67,11 @@ class AcquisitionSet:
 
 
 def read_acquisitions(
-    paths: Path | Sequence[Path], *, progress: Callable[[int, int], object] | None = None, **how: Any
+    paths: Path | Sequence[Path],
+    *,
+    shard: tuple[int, int] | None = None,
+    progress: Callable[[int, int], object] | None = None,
+    **how: Any,
 ) -> AcquisitionSet:
     """Read the exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop others.
 
@@ -75,7 +79,8 @@ def read_acquisitions(
     Each file is read alone: statements of one file (such as standard deviations of its position) are never applied to
     another. With several files, records that have only a number, as in KLV and SBET, are named with their file:
     "video.ts/7". An option applies to the files whose reader accepts it; with `positions`, an image that is missing in
-    that file is unread. `progress` is called with the number of files read and the total.
+    that file is unread. A `shard` (number from 1, count) is one of `count` consecutive parts of the files; the parts
+    together are the whole. `progress` is called with the number of files read and the total.
 
     Raises, since these concern all files: `WrongOption` for an option that no file's reader accepts; `UnstatedDatum`
     and `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a missing
@@ -92,7 +97,8 @@ def read_acquisitions(
     ['a.jpg'] ['b.jpg']
     >>> folder.cleanup()
     """
-    files, left_out = files_of(paths)
+    every, left_out = files_of(paths)
+    files = every if shard is None else [every[k] for k in shard_of(len(every), shard, "files")]
     forms = [_form(file) for file in files]
     _check_options(files, forms, how)
     kinds = dict(zip(files, forms, strict=True))
@@ -116,10 +122,20 @@ def read_acquisitions(
         datum = how.get("height_datum") or "ellipsoid"
         check_one_flight(images, read_positions(how["positions"], height_datum=datum, crs=how.get("crs")))
     notes = merged_sentences([one.assumed for one in found], "file")
-    found = with_file_names(found) if len(files) > 1 else found
+    found = with_file_names(found) if len(every) > 1 else found
     places = [start + np.arange(len(one)) for start, one in zip(starts, found, strict=True)]
     parts, where = merged(found, places)
     return AcquisitionSet(parts, where, tuple(unread), (*notes, *left_out))
+
+
+def shard_of(total: int, shard: tuple[int, int], what: str) -> range:
+    """Indices of part `shard` = (number from 1, count) of `total` items. Raises `TableError` for a part without any."""
+    number, count = shard
+    if not 1 <= number <= count:
+        raise TableError(f"shard must be (number, count) with a number from 1 to the count; got {shard!r}.")
+    if count > total:
+        raise TableError(f"shard {number}/{count}: there are only {total} {what}; use {total} shards or fewer.")
+    return range((number - 1) * total // count, number * total // count)
 
 
 def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
