@@ -19,7 +19,8 @@ from jaxgeo.uncertainty.linear import Propagation, propagate
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
+from jaxgeo.uncertainty.sampled import sample
+from jaxgeo.uncertainty.sampled_record import Quantile, Sampled
 from jaxgeo.uncertainty.sampling import Sampling
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated

@@ -1,7 +1,8 @@
 """Chunked Monte Carlo sampling on all devices.
 
 A chunk is drawn by two programs of one size for every count: the perturbed lines of sight, which depend on the error
-model, and their fixes, which do not. Each goes through as many blocks of lines as the chunk needs.
+model, and their fixes, which do not. Each goes through as many blocks of lines as the chunk needs. Block k holds the
+samples from k * BLOCK on, whatever part is drawn: rounding depends on a sample's place and neighbours in its block.
 """
 
 from __future__ import annotations
@@ -83,11 +84,12 @@ class Size(NamedTuple):
         is_long_run = count > LONG_RUN * len(devices)
         blocks = lambda samples: -(-samples // (len(devices) * BLOCK))  # noqa: E731
         most = (MANY if is_long_run else FEW) // BLOCK
-        return cls(BLOCK * max(min(blocks(chunk), most), blocks(unit), 1), devices, is_long_run)
+        least = 1 if BLOCK % max(unit, 1) == 0 else blocks(unit + 2 * BLOCK)  # multiples of `unit` in whole blocks
+        return cls(BLOCK * max(min(blocks(chunk), most), least), devices, is_long_run)
 
 
 class Part(NamedTuple):
-    """Part of a sampling: the first sample, the number of samples, and how many of them a device draws."""
+    """Part of a sampling: the first sample, the number of samples, and how many blocks of them a device draws."""
 
     first: Int[Array, ""]
     count: Int[Array, ""]
@@ -96,7 +98,13 @@ class Part(NamedTuple):
     @classmethod
     def of(cls, first: int, count: int, devices: int) -> Part:
         """A part divided among some devices."""
-        return cls(*jax.tree.map(jnp.asarray, (first, count, -(-count // devices))))
+        return cls(*jax.tree.map(jnp.asarray, (first, count, blocks_per_device(first, count, devices))))
+
+
+def blocks_per_device(first: int, count: int, devices: int) -> int:
+    """Number of blocks of a part that each device draws."""
+    blocks = -(-(first + count) // BLOCK) - first // BLOCK
+    return -(-blocks // devices)
 
 
 class Drawn(NamedTuple):
@@ -109,12 +117,16 @@ class Drawn(NamedTuple):
     statuses: Int8[Array, " samples"]
     errors: Float[Array, "samples 3"] | None
 
-    def of_samples(self, count: int) -> Drawn:
-        """The chunk on the host, without the padding of each device's share."""
+    def of_samples(self, first: int, count: int) -> Drawn:
+        """The chunk on the host: only the samples of the part, without the padding of each device's share."""
         moments, *rest = jax.tree.map(np.asarray, tuple(self))
-        devices = len(moments)
-        share = -(-count // devices)
-        own = lambda x: x.reshape(devices, -1, *x.shape[1:])[:, :share].reshape(-1, *x.shape[1:])[:count]  # noqa: E731
+        devices, skipped = len(moments), first % BLOCK
+        share = BLOCK * blocks_per_device(first, count, devices)
+
+        def own(x: np.ndarray) -> np.ndarray:
+            of_devices = x.reshape(devices, -1, *x.shape[1:])[:, :share]
+            return of_devices.reshape(-1, *x.shape[1:])[skipped : skipped + count]
+
         return Drawn(moments, *jax.tree.map(own, rest))
 
 
@@ -135,7 +147,7 @@ def make_plan(
         LinePlan(inputs, model, roots, turn, draws, key, places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
-    if size.devices != tuple(jax.devices()[:1]):  # once, not per chunk: the terrain may be large
+    if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
     trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, 1), size)
@@ -164,7 +176,7 @@ def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes
 
 
 def draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
-    """Perturbed lines of sight of a part, of which the first `part.share` on each device count."""
+    """Perturbed lines of sight of the blocks of a part: `part.share` blocks on each device."""
     return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, size)
 
 
@@ -204,7 +216,7 @@ def _lines_of_block(number: Index, device: Index, plan: LinePlan, part: Part) ->
             normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
         return plan.model.draw(plan.roots, normal)
 
-    samples = part.first + device * part.share + number * BLOCK + jnp.arange(BLOCK)
+    samples = _samples_of_block(number, device, part)
     return perturbed_lines(plan.model, plan.inputs, plan.places, (*others, error_of), samples), ()
 
 
@@ -220,14 +232,19 @@ def _fixes_of_block(
     radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
     radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
     errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
-    place = number * BLOCK + jnp.arange(BLOCK)
-    counts = found & (place < part.share) & (device * part.share + place < part.count)
+    place = _samples_of_block(number, device, part) - part.first
+    counts = found & (place >= 0) & (place < part.count)
     return (radii, status, errors), _moments(error, counts)
 
 
-def _by_blocks(function: Any, count: Index, capacity: int, *args: Any) -> tuple[Any, Any]:
-    """`function(number, *args)` of as many blocks as `count` items need: results per item, with room for `capacity`,
-    and the sums of the results per block."""
+def _samples_of_block(number: Index, device: Index, part: Part) -> Int[Array, " block"]:
+    """Numbers of the samples in a block of a device's share; blocks begin at multiples of `BLOCK`."""
+    return (part.first // BLOCK + device * part.share + number) * BLOCK + jnp.arange(BLOCK)
+
+
+def _by_blocks(function: Any, blocks: Index, capacity: int, *args: Any) -> tuple[Any, Any]:
+    """`function(number, *args)` of some blocks: results per item, with room for `capacity`, and the sums of the results
+    per block."""
     zeros = lambda x, *size: jnp.zeros((*size, *x.shape[len(size) :]), x.dtype)  # noqa: E731
     each, total = eqx.filter_eval_shape(function, jnp.asarray(0), *args)
     start = jax.tree.map(lambda x: zeros(x, capacity), each), jax.tree.map(zeros, total)
@@ -237,7 +254,7 @@ def _by_blocks(function: Any, count: Index, capacity: int, *args: Any) -> tuple[
         put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * BLOCK, 0)  # noqa: E731
         return jax.tree.map(put, state[0], here), jax.tree.map(jnp.add, state[1], more)
 
-    return jax.lax.fori_loop(0, -(-count // BLOCK), block, start)
+    return jax.lax.fori_loop(0, blocks, block, start)
 
 
 def _on_each(function: Callable[..., Any], devices: tuple[Any, ...], spread: tuple[Any, ...], *common: Any) -> Any:
@@ -279,10 +296,18 @@ def one_ahead(
         yield waiting
 
 
-def chunks(count: int, chunk: int, unit: int, progress: bool) -> Iterator[tuple[int, int]]:
-    """(first sample, number of samples) of chunks; all but the last are a multiple of `unit`, and at least that."""
-    size = max(chunk // unit, 1) * unit
-    parts = [(first, min(size, count - first)) for first in range(0, count, size)]
+def chunks(first: int, count: int, size: Size, unit: int, progress: bool) -> Iterator[tuple[int, int]]:
+    """(first sample, number of samples) of the chunks of a part.
+
+    Chunks end at the end of a block if possible, so that no block is drawn twice, and at a multiple of `unit`.
+    """
+    most = size.capacity * len(size.devices)
+    parts, end = [], first + count
+    while first < end:
+        last = first // BLOCK * BLOCK + most
+        last = min(last - last % unit, end)
+        parts.append((first, last - first))
+        first = last
     if not progress:
         yield from parts
         return
