@@ -11,7 +11,7 @@ from support.numpy_in_jit import numpy_in_jitted_code
 # From the lowest layer up: packages (or single modules) of `jaxgeo`. A package imports only packages of lower layers.
 LAYERS = [
     (
-        "_typing _checks _compile _elementary _numerics _record status least_squares _destination _partial "
+        "_typing _checks _compile _elementary _export _numerics _record status least_squares _destination _partial "
         "_interruption _program_cache _text_numbers _command _renamed _refusals batches"
     ).split(),
     ["earth", "rotations"],
@@ -38,6 +38,7 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"_compile", "_checks"}),
     frozenset({"batches", "_compile"}),
     frozenset({"_record", "_checks"}),
+    frozenset({"_record", "_export"}),
     frozenset({"_destination", "_partial"}),
     frozenset({"_partial", "_interruption"}),
     frozenset({"earth", "rotations"}),

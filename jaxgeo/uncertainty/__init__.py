@@ -10,6 +10,7 @@ from jaxgeo.uncertainty._deprecated import accuracy_of_each as accuracy_of_each
 from jaxgeo.uncertainty._deprecated import accuracy_of_pixels as accuracy_of_pixels
 from jaxgeo.uncertainty._deprecated import assess as assess
 from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_design, design
+from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.accuracy_record import Accuracy
@@ -36,6 +37,7 @@ __all__ = [
     "Design",
     "Diagnostics",
     "ErrorModel",
+    "ErrorSamples",
     "Facet",
     "Footprint",
     "InverseCost",
@@ -64,6 +66,7 @@ __all__ = [
     "compare",
     "design",
     "error_ellipse",
+    "error_samples",
     "gauss_helmert",
     "joint_covariance",
     "linear_error",

@@ -25,6 +25,7 @@ from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
     TRIALS,
     PerturbedLines,
+    Stages,
     common_ground,
     has_own_field,
     offsets_of_lines,
@@ -162,10 +163,27 @@ def _evaluated(
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, Any]:
     """(model at the observation, its roots, rotation for Sobol points, places of the ground's leaves)."""
     model = model.at(inputs, nominal)
-    turn = None
-    if isinstance(draws, Sobol):
-        turn = _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
-    return model, model.roots(), turn, places_of_ground(model, inputs)
+    return model, model.roots(), rotation_of(draws, model, inputs, nominal), places_of_ground(model, inputs)
+
+
+def rotation_of(draws: AbstractDraws, model: ErrorModel, inputs: ModelInputs, nominal: NominalFix) -> Any:
+    """Rotation (axes, axes) of the draws by a model that is evaluated at the observation; None for independent ones."""
+    if not isinstance(draws, Sobol):
+        return None
+    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
+
+
+def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple[Root, ...], turn: Any) -> Stages:
+    """Functions that, applied in order to the number of a sample, give its error vector."""
+    *others, last = draws.stages(key, model.size)
+
+    def error_of(numbers: Any) -> Float[Array, " axes"]:
+        normal = last(numbers)
+        if turn is not None:
+            normal = jnp.sum(turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
+        return model.draw(roots, normal)
+
+    return *others, error_of
 
 
 def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
@@ -208,16 +226,9 @@ _draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_fi
 
 @eqx.filter_jit
 def _lines_of_block(number: Index, device: Index, plan: LinePlan, part: Part) -> tuple[PerturbedLines, tuple[()]]:
-    *others, last = plan.draws.stages(plan.key, plan.model.size)
-
-    def error_of(numbers: Any) -> Float[Array, " axes"]:
-        normal = last(numbers)
-        if plan.turn is not None:
-            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
-        return plan.model.draw(plan.roots, normal)
-
+    stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.turn)
     samples = _samples_of_block(number, device, part)
-    return perturbed_lines(plan.model, plan.inputs, plan.places, (*others, error_of), samples), ()
+    return perturbed_lines(plan.model, plan.inputs, plan.places, stages, samples), ()
 
 
 @eqx.filter_jit

@@ -11,9 +11,10 @@ from jaxgeo._record import Record
 from jaxgeo.uncertainty.intervals import Interval, hazen_ranks, quantile_ranks, scrambled_interval
 
 DIGITS = 14  # binary digits of a radius that its bin keeps: bins are a relative 2^-14 wide, or less
-LOWEST, HIGHEST = -14, 24  # powers of two, in m: 61 um, below which all radii share a bin, and more than the Earth
+LOWEST, HIGHEST = -14, 28  # powers of two, in m: 61 um, below which all radii share a bin, and 270,000 km
 _SHIFT = 52 - DIGITS  # digits of a float64 that are dropped
 _BELOW = (LOWEST + 1023) << DIGITS  # bits of the lowest bound
+_INFINITE = 2047 << DIGITS  # bits of infinity
 BINS = ((HIGHEST - LOWEST) << DIGITS) + 2  # the last one holds the infinite radii of samples without a fix
 
 
@@ -105,7 +106,9 @@ class Counter:
 def bins_of(radii: np.ndarray) -> np.ndarray:
     """Bins of radii in m, 0 or more or infinite."""
     bits = np.ascontiguousarray(radii, np.float64).view(np.int64) >> _SHIFT
-    return np.clip(bits - (_BELOW - 1), 0, BINS - 1)
+    bins = np.clip(bits - (_BELOW - 1), 0, BINS - 2)
+    bins[bits == _INFINITE] = BINS - 1
+    return bins
 
 
 def lower_bound(number: int) -> float:

@@ -183,7 +183,7 @@ def moments_of(runs: Sequence[SampleRun], centre: np.ndarray) -> tuple[int, np.n
     return found, mean + centre, (sums[:3, :3] - found * np.outer(mean, mean)) / (found - 1)
 
 
-def merged(first: Sampled, others: Sequence[Sampled]) -> Sampled:
+def merged(first: Sampled, others: Sequence[Any]) -> Sampled:
     """`Sampled.merge`."""
     every = [first, *others]
     for number, part in enumerate(every):

@@ -86,11 +86,10 @@ def _check(options: Any, least: int) -> None:
         if not isinstance(value, int | np.integer) or value < low:
             raise ValueError(f"{name} must be a whole number of samples, {low} or more; got {value!r}.")
     check_countable(int(options.count), f"{options.count} samples", MORE)
-    if options.key is not None and not isinstance(options.key, jax.Array):
-        raise TypeError(f"key must be one of jax.random.key(seed); got {options.key!r}.")
+    if options.key is not None:
+        check_key(options.key)
     _check_devices(options.devices)
-    if not isinstance(options.draws, AbstractDraws):
-        raise TypeError(f"draws must be Random() or Sobol(); got {type(options.draws).__name__}.")
+    checked_draws(options.draws)
     if options.scrambles and options.count % options.scrambles:
         raise ValueError(
             f"count must be a multiple of the {options.scrambles} scrambles of Sobol; got {options.count}."
@@ -99,6 +98,19 @@ def _check(options: Any, least: int) -> None:
         raise ValueError(f"confidence must lie between 0 and 1, such as 0.95; got {options.confidence!r}.")
     if options.half_width is not None and not options.half_width > 0.0:
         raise ValueError(f"half_width must be a positive share of the first figure; got {options.half_width!r}.")
+
+
+def check_key(key: Any) -> None:
+    """Raise `TypeError` for anything but a JAX array."""
+    if not isinstance(key, jax.Array):
+        raise TypeError(f"key must be one of jax.random.key(seed); got {key!r}.")
+
+
+def checked_draws(draws: Any) -> AbstractDraws:
+    """The kind of draws; raises `TypeError` for anything else."""
+    if not isinstance(draws, AbstractDraws):
+        raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
+    return draws
 
 
 def _check_devices(devices: Any) -> None:
