@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 from jax import export
 
@@ -27,7 +27,7 @@ def register_for_export(cls: type) -> None:
             serialized_name=name,
             serialize_auxdata=_to_json,
             deserialize_auxdata=_from_json,
-            from_children=lambda static, children: _filled(cls, static, children),
+            from_children=lambda aux_data, children: _filled(cls, cast("list[Any]", aux_data), children),
         )
         _CLASSES[name] = cls
 

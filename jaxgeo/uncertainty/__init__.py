@@ -15,6 +15,7 @@ from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
@@ -51,6 +52,7 @@ __all__ = [
     "PerMeasurement",
     "Propagation",
     "Quantile",
+    "RadiusHistogram",
     "Random",
     "Sampled",
     "Sampling",

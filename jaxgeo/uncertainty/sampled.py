@@ -72,8 +72,9 @@ def sample(
     samples.
 
     - Parts: samples `first` to `first + count - 1` of the key are drawn, the same ones to the last digit whatever the
-      part, chunk and number of devices, so that `sample(..., count=100).merge(sample(..., first=100, count=100))` is
-      `sample(..., count=200)`. `first` is a multiple of the Sobol scrambles.
+      part and the chunk, so that `sample(..., count=100).merge(sample(..., first=100, count=100))` is
+      `sample(..., count=200)`. Between numbers of devices they may differ by rounding, 1e-8 m. `first` is a multiple of
+      the Sobol scrambles.
     - `summary` keeps counts of radii in bins in place of the radii: memory is constant, and quantiles are off by less
       than 0.0061 % (see `RadiusHistogram`).
     - Several processes of `jax.distributed` share the samples, unless `devices` are given: each draws a part on its
@@ -243,7 +244,7 @@ class _Tally:
         for figure, kept in self.radii.items():
             kept[place] = drawn.radii[FIGURES.index(figure)]
         for figure, counter in (self.counters or {}).items():
-            counter.add(drawn.radii[FIGURES.index(figure)], first)
+            counter.add(np.asarray(drawn.radii[FIGURES.index(figure)]), first)
         if self.kept is not None:
             self.kept[0][place], self.kept[1][place] = drawn.errors, drawn.statuses
 

@@ -369,9 +369,11 @@ def test_what_cannot_be_compared_is_refused() -> None:
 def test_identity_is_the_same_in_every_process() -> None:
     program = (
         "import jax; jax.config.update('jax_enable_x64', True)\n"
-        "from tests.uncertainty.test_parts import *\n"
-        "print(digest_of((looks.sensor(), looks.shot(), looks.dem(), looks.all_sources(), hills, KEY)))\n"
+        "from jaxgeo.uncertainty.origin import digest_of\n"
+        "from tests.support import looks\n"
+        "from tests.uncertainty.test_sampled import KEY\n"
+        "print(digest_of((looks.sensor(), looks.shot(), looks.dem(), looks.all_sources(), looks.steps, KEY)))\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    ours = digest_of((looks.sensor(), looks.shot(), looks.dem(), looks.all_sources(), hills, KEY))
+    ours = digest_of((looks.sensor(), looks.shot(), looks.dem(), looks.all_sources(), looks.steps, KEY))
     assert done.stdout.split()[-1] == ours
