@@ -30,11 +30,12 @@ class Sampling:
     """Options of Monte Carlo sampling; None is the default of the function that takes them.
 
     `count` is the number of samples per fix and `key` a `jax.random.key`, by default `jax.random.key(0)`; a sample
-    depends on the key and its number only, up to rounding (1e-8 m) between numbers of devices. `draws` is `Random()` or `Sobol()`, whose points are rotated so that the
-    directions that displace the fix most come first. About `chunk` samples are drawn at a time, which bounds the
-    memory, on `devices` (default: all of this process); neither changes the samples. With a
-    `half_width`, sampling stops when the interval with this `confidence` of the first figure at 90 % is within that
-    fraction of it on either side (JCGM 101:2008, 7.9), or at `count` samples. `progress` shows progress bars.
+    depends on the key and its number only, up to rounding (1e-8 m) between numbers of devices. `draws` is `Random()` or
+    `Sobol()`, whose points are rotated so that the directions that displace the fix most come first. About `chunk`
+    samples are drawn at a time, which bounds the memory, on `devices` (default: all of this process); neither changes
+    the samples. With a `half_width`, sampling stops when the interval with this `confidence` of the first figure at
+    90 % is within that fraction of it on either side (JCGM 101:2008, 7.9), or at `count` samples. `progress` shows
+    progress bars.
 
     >>> import jax
     >>> from jaxgeo.uncertainty import Sampling
