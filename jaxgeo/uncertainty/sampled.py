@@ -103,6 +103,7 @@ def sample(
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
     nominal = inputs.nominal_fix(search)
+    refuse_traced("sample", nominal)  # inside of jit, if all arguments are constants of its program
     nominal.require_fix()
     wanted = Wanted(tuple(figures), keep, summary)
     is_shared = resolved.devices is None and jax.process_count() > 1

@@ -10,8 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
-import jax.core
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import check_countable, is_known
@@ -142,8 +140,8 @@ def check_numbers(first: Any, sampling: Any) -> int:
 
 
 def refuse_traced(function: str, arguments: Any) -> None:
-    """Raise `TypeError` for traced arguments, and inside `jit`."""
-    if is_known(arguments) and not isinstance(jnp.zeros(()), jax.core.Tracer):
+    """Raise `TypeError` for traced arguments, or results of constant arguments inside of `jit`."""
+    if is_known(arguments):
         return
     raise TypeError(
         f"{function} draws samples in parts and returns plain numbers, which jit, vmap and derivatives do not allow: "
