@@ -11,6 +11,7 @@ import json
 import pathlib
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -185,30 +186,34 @@ def doors(dem: jaxgeo.Dem, repeats: int) -> list[Table]:
 
 
 def memory(counts: tuple[int, ...]) -> list[Table]:
-    """Peak memory of sampling, each count in its own process."""
-    columns = [Column("samples"), Column("peak over a warm process", "MB", "lower")]
-    columns += [Column("less 8 bytes a sample", "MB", "lower"), Column("while CE90 is asked for", "MB", "lower")]
-    table = Table("Memory of sampling one figure", columns)
+    """Peak memory and processor time of sampling with and without `summary`, each count in its own process."""
+    columns = [Column("samples"), Column("kept"), Column("peak over a warm process", "MB", "lower")]
+    columns += [Column("while CE90 is asked for", "MB", "lower"), Column("processor time", "s", "lower")]
+    columns += [Column("CE90", "m")]
+    table = Table("Memory of sampling CE, LE and SE", columns)
     for count in counts:
-        command = [sys.executable, __file__, "--memory-of", str(count)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        peak, asked = json.loads(done.stdout.strip().splitlines()[-1])
-        table.rows.append([count, 1e-6 * peak, 1e-6 * (peak - 8.0 * count), 1e-6 * asked])
+        for kept in ("radii", "summary"):
+            command = [sys.executable, __file__, "--memory-of", str(count), "--kept", kept]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            peak, asked, spent, circular = json.loads(done.stdout.strip().splitlines()[-1])
+            table.rows.append([count, kept, 1e-6 * peak, 1e-6 * asked, spent, circular])
     table.notes.append("a warm process has drawn two chunks; growth of its peak while it draws, and while it then asks")
     return [table]
 
 
-def memory_of(count: int) -> list[int]:
-    """Peak bytes above those held before: while drawing samples, and while computing a quantile."""
+def memory_of(count: int, summary: bool) -> list[float]:
+    """Peak bytes above those held before, while drawing samples and while computing a quantile; s; CE90 in m."""
     dem = jaxgeo.io.example_dem()
-    sampled(dem, 2 * CHUNK, figures=("CE",))
+    sampled(dem, 2 * CHUNK, figures=("CE",), summary=summary)
     before = measuring.resident()
     measuring.reset_peak()
-    drawn = jaxgeo.uncertainty.sample(SENSOR, SHOT, PIXEL, dem, ERRORS, key=KEY, count=count, figures=("CE",))
+    begin = time.process_time()
+    drawn = jaxgeo.uncertainty.sample(SENSOR, SHOT, PIXEL, dem, ERRORS, key=KEY, count=count, summary=summary)
+    spent = time.process_time() - begin
     drawing = measuring.peak()
     measuring.reset_peak()
-    drawn.circular_error(0.9)
-    return [drawing - before, measuring.peak() - before]
+    circular = drawn.circular_error(0.9)
+    return [drawing - before, measuring.peak() - before, spent, circular.value]
 
 
 def main() -> None:
@@ -219,9 +224,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=pathlib.Path, help="write the tables there as JSON")
     parser.add_argument("--memory-of", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--kept", default="radii", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.memory_of:
-        print(json.dumps(memory_of(options.memory_of)))
+        print(json.dumps(memory_of(options.memory_of, options.kept == "summary")))
         return
     _, idle = measuring.idle_check()
     print(idle, file=sys.stderr)

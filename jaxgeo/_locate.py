@@ -338,7 +338,8 @@ def touched_by_each(
 ) -> tuple[Float[Array, "rays 3"], StatusCodes]:
     """`touched_by` of many rays (leading axis) over one ground."""
     rays, status = ground.each(_checked_ray, rays, status)
-    return ground.each(_touched, rays, status, search.brackets(rays, ground))
+    brackets = search.brackets(*jax.lax.stop_gradient((rays, ground)))
+    return ground.each(_touched, rays, status, brackets)
 
 
 def _checked_ray(ray: Ray, status: StatusCode, terrain: AbstractTerrain) -> tuple[Ray, StatusCode]:

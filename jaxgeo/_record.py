@@ -16,6 +16,7 @@ import numpy as np
 from jax._src import xla_bridge
 
 from jaxgeo._checks import enable_x64, is_forked_from_jax, is_x64
+from jaxgeo._export import register_for_export
 
 T = TypeVar("T")
 
@@ -28,6 +29,10 @@ class Record(eqx.Module):
     nothing yet: there it turns on 64-bit floats. Constructing a record from an array that JAX has already rounded to 32
     bits raises too, since `jnp.asarray` rounds silently.
     """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        register_for_export(cls)
 
     def __check_init__(self) -> None:
         if is_x64():

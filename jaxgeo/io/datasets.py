@@ -75,7 +75,7 @@ def samples_dataset(sampled: Sampled) -> xarray.Dataset:
         "covariance": (("axis", "other_axis"), sampled.cov_enu, _attrs("covariance of the samples with a fix", "m2")),
         "centre": ("axis", sampled.centre_enu, _attrs("what errors are counted from, from the fix", "m")),
     }
-    coords = {"axis": AXES, "other_axis": AXES, "sample": np.arange(sampled.count, dtype=np.int32)}
+    coords = {"axis": AXES, "other_axis": AXES, "sample": sampled.numbers}
     coords |= {
         "latitude": ((), lat, _latitude()),
         "longitude": ((), lon, _longitude()),

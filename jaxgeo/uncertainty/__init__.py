@@ -10,16 +10,19 @@ from jaxgeo.uncertainty._deprecated import accuracy_of_each as accuracy_of_each
 from jaxgeo.uncertainty._deprecated import accuracy_of_pixels as accuracy_of_pixels
 from jaxgeo.uncertainty._deprecated import assess as assess
 from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_design, design
+from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
+from jaxgeo.uncertainty.sampled import sample
+from jaxgeo.uncertainty.sampled_record import Quantile, Sampled
 from jaxgeo.uncertainty.sampling import Sampling
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
@@ -35,6 +38,7 @@ __all__ = [
     "Design",
     "Diagnostics",
     "ErrorModel",
+    "ErrorSamples",
     "Facet",
     "Footprint",
     "InverseCost",
@@ -48,6 +52,7 @@ __all__ = [
     "PerMeasurement",
     "Propagation",
     "Quantile",
+    "RadiusHistogram",
     "Random",
     "Sampled",
     "Sampling",
@@ -63,6 +68,7 @@ __all__ = [
     "compare",
     "design",
     "error_ellipse",
+    "error_samples",
     "gauss_helmert",
     "joint_covariance",
     "linear_error",

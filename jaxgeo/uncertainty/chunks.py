@@ -1,7 +1,8 @@
 """Chunked Monte Carlo sampling on all devices.
 
 A chunk is drawn by two programs of one size for every count: the perturbed lines of sight, which depend on the error
-model, and their fixes, which do not. Each goes through as many blocks of lines as the chunk needs.
+model, and their fixes, which do not. Each goes through as many blocks of lines as the chunk needs. Block k holds the
+samples from k * BLOCK on, whatever part is drawn: rounding depends on a sample's place and neighbours in its block.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
     TRIALS,
     PerturbedLines,
+    Stages,
     common_ground,
     has_own_field,
     offsets_of_lines,
@@ -83,11 +85,12 @@ class Size(NamedTuple):
         is_long_run = count > LONG_RUN * len(devices)
         blocks = lambda samples: -(-samples // (len(devices) * BLOCK))  # noqa: E731
         most = (MANY if is_long_run else FEW) // BLOCK
-        return cls(BLOCK * max(min(blocks(chunk), most), blocks(unit), 1), devices, is_long_run)
+        least = 1 if BLOCK % max(unit, 1) == 0 else blocks(unit + 2 * BLOCK)  # multiples of `unit` in whole blocks
+        return cls(BLOCK * max(min(blocks(chunk), most), least), devices, is_long_run)
 
 
 class Part(NamedTuple):
-    """Part of a sampling: the first sample, the number of samples, and how many of them a device draws."""
+    """Part of a sampling: the first sample, the number of samples, and how many blocks of them a device draws."""
 
     first: Int[Array, ""]
     count: Int[Array, ""]
@@ -96,7 +99,13 @@ class Part(NamedTuple):
     @classmethod
     def of(cls, first: int, count: int, devices: int) -> Part:
         """A part divided among some devices."""
-        return cls(*jax.tree.map(jnp.asarray, (first, count, -(-count // devices))))
+        return cls(*jax.tree.map(jnp.asarray, (first, count, blocks_per_device(first, count, devices))))
+
+
+def blocks_per_device(first: int, count: int, devices: int) -> int:
+    """Number of blocks of a part that each device draws."""
+    blocks = -(-(first + count) // BLOCK) - first // BLOCK
+    return -(-blocks // devices)
 
 
 class Drawn(NamedTuple):
@@ -109,12 +118,16 @@ class Drawn(NamedTuple):
     statuses: Int8[Array, " samples"]
     errors: Float[Array, "samples 3"] | None
 
-    def of_samples(self, count: int) -> Drawn:
-        """The chunk on the host, without the padding of each device's share."""
+    def of_samples(self, first: int, count: int) -> Drawn:
+        """The chunk on the host: only the samples of the part, without the padding of each device's share."""
         moments, *rest = jax.tree.map(np.asarray, tuple(self))
-        devices = len(moments)
-        share = -(-count // devices)
-        own = lambda x: x.reshape(devices, -1, *x.shape[1:])[:, :share].reshape(-1, *x.shape[1:])[:count]  # noqa: E731
+        devices, skipped = len(moments), first % BLOCK
+        share = BLOCK * blocks_per_device(first, count, devices)
+
+        def own(x: np.ndarray) -> np.ndarray:
+            of_devices = x.reshape(devices, -1, *x.shape[1:])[:, :share]
+            return of_devices.reshape(-1, *x.shape[1:])[skipped : skipped + count]
+
         return Drawn(moments, *jax.tree.map(own, rest))
 
 
@@ -135,7 +148,7 @@ def make_plan(
         LinePlan(inputs, model, roots, turn, draws, key, places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
-    if size.devices != tuple(jax.devices()[:1]):  # once, not per chunk: the terrain may be large
+    if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
     trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, 1), size)
@@ -150,10 +163,27 @@ def _evaluated(
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, Any]:
     """(model at the observation, its roots, rotation for Sobol points, places of the ground's leaves)."""
     model = model.at(inputs, nominal)
-    turn = None
-    if isinstance(draws, Sobol):
-        turn = _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
-    return model, model.roots(), turn, places_of_ground(model, inputs)
+    return model, model.roots(), rotation_of(draws, model, inputs, nominal), places_of_ground(model, inputs)
+
+
+def rotation_of(draws: AbstractDraws, model: ErrorModel, inputs: ModelInputs, nominal: NominalFix) -> Any:
+    """Rotation (axes, axes) of the draws by a model that is evaluated at the observation; None for independent ones."""
+    if not isinstance(draws, Sobol):
+        return None
+    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
+
+
+def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple[Root, ...], turn: Any) -> Stages:
+    """Functions that, applied in order to the number of a sample, give its error vector."""
+    *others, last = draws.stages(key, model.size)
+
+    def error_of(numbers: Any) -> Float[Array, " axes"]:
+        normal = last(numbers)
+        if turn is not None:
+            normal = jnp.sum(turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
+        return model.draw(roots, normal)
+
+    return *others, error_of
 
 
 def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
@@ -164,7 +194,7 @@ def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes
 
 
 def draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
-    """Perturbed lines of sight of a part, of which the first `part.share` on each device count."""
+    """Perturbed lines of sight of the blocks of a part: `part.share` blocks on each device."""
     return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, size)
 
 
@@ -196,16 +226,9 @@ _draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_fi
 
 @eqx.filter_jit
 def _lines_of_block(number: Index, device: Index, plan: LinePlan, part: Part) -> tuple[PerturbedLines, tuple[()]]:
-    *others, last = plan.draws.stages(plan.key, plan.model.size)
-
-    def error_of(numbers: Any) -> Float[Array, " axes"]:
-        normal = last(numbers)
-        if plan.turn is not None:
-            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
-        return plan.model.draw(plan.roots, normal)
-
-    samples = part.first + device * part.share + number * BLOCK + jnp.arange(BLOCK)
-    return perturbed_lines(plan.model, plan.inputs, plan.places, (*others, error_of), samples), ()
+    stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.turn)
+    samples = _samples_of_block(number, device, part)
+    return perturbed_lines(plan.model, plan.inputs, plan.places, stages, samples), ()
 
 
 @eqx.filter_jit
@@ -220,14 +243,19 @@ def _fixes_of_block(
     radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
     radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
     errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
-    place = number * BLOCK + jnp.arange(BLOCK)
-    counts = found & (place < part.share) & (device * part.share + place < part.count)
+    place = _samples_of_block(number, device, part) - part.first
+    counts = found & (place >= 0) & (place < part.count)
     return (radii, status, errors), _moments(error, counts)
 
 
-def _by_blocks(function: Any, count: Index, capacity: int, *args: Any) -> tuple[Any, Any]:
-    """`function(number, *args)` of as many blocks as `count` items need: results per item, with room for `capacity`,
-    and the sums of the results per block."""
+def _samples_of_block(number: Index, device: Index, part: Part) -> Int[Array, " block"]:
+    """Numbers of the samples in a block of a device's share; blocks begin at multiples of `BLOCK`."""
+    return (part.first // BLOCK + device * part.share + number) * BLOCK + jnp.arange(BLOCK)
+
+
+def _by_blocks(function: Any, blocks: Index, capacity: int, *args: Any) -> tuple[Any, Any]:
+    """`function(number, *args)` of some blocks: results per item, with room for `capacity`, and the sums of the results
+    per block."""
     zeros = lambda x, *size: jnp.zeros((*size, *x.shape[len(size) :]), x.dtype)  # noqa: E731
     each, total = eqx.filter_eval_shape(function, jnp.asarray(0), *args)
     start = jax.tree.map(lambda x: zeros(x, capacity), each), jax.tree.map(zeros, total)
@@ -237,7 +265,7 @@ def _by_blocks(function: Any, count: Index, capacity: int, *args: Any) -> tuple[
         put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * BLOCK, 0)  # noqa: E731
         return jax.tree.map(put, state[0], here), jax.tree.map(jnp.add, state[1], more)
 
-    return jax.lax.fori_loop(0, -(-count // BLOCK), block, start)
+    return jax.lax.fori_loop(0, blocks, block, start)
 
 
 def _on_each(function: Callable[..., Any], devices: tuple[Any, ...], spread: tuple[Any, ...], *common: Any) -> Any:
@@ -279,10 +307,18 @@ def one_ahead(
         yield waiting
 
 
-def chunks(count: int, chunk: int, unit: int, progress: bool) -> Iterator[tuple[int, int]]:
-    """(first sample, number of samples) of chunks; all but the last are a multiple of `unit`, and at least that."""
-    size = max(chunk // unit, 1) * unit
-    parts = [(first, min(size, count - first)) for first in range(0, count, size)]
+def chunks(first: int, count: int, size: Size, unit: int, progress: bool) -> Iterator[tuple[int, int]]:
+    """(first sample, number of samples) of the chunks of a part.
+
+    Chunks end at the end of a block if possible, so that no block is drawn twice, and at a multiple of `unit`.
+    """
+    most = size.capacity * len(size.devices)
+    parts, end = [], first + count
+    while first < end:
+        last = first // BLOCK * BLOCK + most
+        last = min(last - last % unit, end)
+        parts.append((first, last - first))
+        first = last
     if not progress:
         yield from parts
         return

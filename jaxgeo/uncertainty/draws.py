@@ -22,13 +22,18 @@ Pairs: TypeAlias = tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
 Stage: TypeAlias = Callable[[Any], Any]
 
 
-MORE = "Draw them in several parts, each with a key of its own."  # appended to messages about too large indices
+MORE = "Draw them in several parts."  # appended to messages about too large indices
 OWN = 0x6A617867  # folded into a key, so that other uses of the key draw different numbers
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
 class AbstractDraws(Record):
     """Generator of the standard normal vectors of a sampling."""
+
+    @property
+    def most(self) -> int:
+        """The number of samples of a key."""
+        return 2**32
 
     def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
         """Sample number `index`, counted from 0: `size` independent standard normal numbers.
@@ -55,7 +60,7 @@ class Random(AbstractDraws):
 
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Pairs:
-            _check(key, index, size, 2**32)
+            _check(key, index, size, self.most)
             own = jax.random.key_data(jax.random.fold_in(key, OWN))
             pair = jnp.arange(0, size, 2, dtype=jnp.uint32)
             sample = jnp.full(pair.shape, jnp.asarray(index).astype(jnp.uint32))
@@ -87,9 +92,13 @@ class Sobol(AbstractDraws):
         if not isinstance(self.scrambles, int) or self.scrambles < 1:
             raise ValueError(f"scrambles must be a whole number of at least 1; got {self.scrambles!r}.")
 
+    @property
+    def most(self) -> int:
+        return self.scrambles * 2**32
+
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Vector:
-            _check(key, index, size, self.scrambles * 2**32)
+            _check(key, index, size, self.most)
             directions = jnp.asarray(sobol.direction_numbers(size))
             index = jnp.asarray(index)
             point = sobol.sobol_point((index // self.scrambles).astype(jnp.uint32), directions)

@@ -42,9 +42,7 @@ def quantile_interval(errors: Any, probability: float, confidence: float = 0.95)
     no samples, NaN and negative errors.
     """
     errors = _errors(errors, "errors")
-    low, high = order_ranks(errors.size, probability, confidence)
-    # Guards ceil against a product that is an integer except for its last bit.
-    rank = max(1, math.ceil(probability * errors.size * (1.0 - 2.0**-50)))
+    low, rank, high = quantile_ranks(errors.size, probability, confidence)
     inside = sorted({max(low, 1), rank, min(high, errors.size)})
     ordered = dict(zip(inside, _order(errors, [k - 1 for k in inside]), strict=True))
     return Interval(
@@ -52,6 +50,13 @@ def quantile_interval(errors: Any, probability: float, confidence: float = 0.95)
         ordered[low] if low >= 1 else 0.0,
         ordered[high] if high <= errors.size else math.inf,
     )
+
+
+def quantile_ranks(count: int, probability: float, confidence: float) -> tuple[int, int, int]:
+    """Ranks, counted from 1, of the lower bound, the quantile and the upper bound; bounds may be 0 or `count` + 1."""
+    low, high = order_ranks(count, probability, confidence)
+    # Guards ceil against a product that is an integer except for its last bit.
+    return low, max(1, math.ceil(probability * count * (1.0 - 2.0**-50))), high
 
 
 def scramble_quantile(errors: Any, probability: float) -> float:
@@ -63,14 +68,20 @@ def scramble_quantile(errors: Any, probability: float) -> float:
     """
     errors = _errors(errors, "errors")
     _check_share(probability, "probability")
-    rank = min(max(probability * errors.size + 0.5, 1.0), float(errors.size))
-    below = math.floor(rank)
-    above = min(below + 1, errors.size)
+    below, above, weight = hazen_ranks(errors.size, probability)
     lower, upper = _order(errors, [below - 1, above - 1])
+    return lower if weight == 0.0 else (1.0 - weight) * lower + weight * upper
+
+
+def hazen_ranks(count: int, probability: float) -> tuple[int, int, float]:
+    """(lower rank, upper rank, weight of the upper one) of a quantile interpolated between samples.
+
+    A weight that only rounding makes positive is 0, so that an infinite neighbour does not count.
+    """
+    rank = min(max(probability * count + 0.5, 1.0), float(count))
+    below = math.floor(rank)
     weight = rank - below
-    if weight < 1e-9:  # ignore an infinite neighbour of zero weight
-        return lower
-    return (1.0 - weight) * lower + weight * upper
+    return below, min(below + 1, count), 0.0 if weight < 1e-9 else weight
 
 
 def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:

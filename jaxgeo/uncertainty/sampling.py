@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from jaxgeo._checks import check_countable
+from jaxgeo._checks import check_countable, is_known
 from jaxgeo._record import portable
 from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
 
@@ -27,12 +27,13 @@ RANDOM = Random()
 class Sampling:
     """Options of Monte Carlo sampling; None is the default of the function that takes them.
 
-    `count` is the number of samples per fix and `key` a `jax.random.key`, by default `jax.random.key(0)`; up to
-    rounding (about 1e-8 m) a sample depends on the key and its index only. `draws` is `Random()` or `Sobol()`, whose
-    points are rotated so that the directions that displace the fix most come first. `chunk` samples are drawn at a
-    time, which bounds the memory, on `devices` (default: all JAX devices); neither changes the samples. With a
-    `half_width`, sampling stops when the interval with this `confidence` of the first figure at 90 % is within that
-    fraction of it on either side (JCGM 101:2008, 7.9), or at `count` samples. `progress` shows progress bars.
+    `count` is the number of samples per fix and `key` a `jax.random.key`, by default `jax.random.key(0)`; a sample
+    depends on the key and its number only, up to rounding (1e-8 m) between numbers of devices. `draws` is `Random()` or
+    `Sobol()`, whose points are rotated so that the directions that displace the fix most come first. About `chunk`
+    samples are drawn at a time, which bounds the memory, on `devices` (default: all of this process); neither changes
+    the samples. With a `half_width`, sampling stops when the interval with this `confidence` of the first figure at
+    90 % is within that fraction of it on either side (JCGM 101:2008, 7.9), or at `count` samples. `progress` shows
+    progress bars.
 
     >>> import jax
     >>> from jaxgeo.uncertainty import Sampling
@@ -84,13 +85,10 @@ def _check(options: Any, least: int) -> None:
         if not isinstance(value, int | np.integer) or value < low:
             raise ValueError(f"{name} must be a whole number of samples, {low} or more; got {value!r}.")
     check_countable(int(options.count), f"{options.count} samples", MORE)
-    if options.key is not None and not isinstance(options.key, jax.Array):
-        raise TypeError(f"key must be one of jax.random.key(seed); got {options.key!r}.")
-    devices = options.devices
-    if devices is not None and not (len(devices) and all(isinstance(one, jax.Device) for one in devices)):
-        raise ValueError(f"devices must be some of jax.devices(), or None for all of them; got {devices!r}.")
-    if not isinstance(options.draws, AbstractDraws):
-        raise TypeError(f"draws must be Random() or Sobol(); got {type(options.draws).__name__}.")
+    if options.key is not None:
+        check_key(options.key)
+    _check_devices(options.devices)
+    checked_draws(options.draws)
     if options.scrambles and options.count % options.scrambles:
         raise ValueError(
             f"count must be a multiple of the {options.scrambles} scrambles of Sobol; got {options.count}."
@@ -99,6 +97,56 @@ def _check(options: Any, least: int) -> None:
         raise ValueError(f"confidence must lie between 0 and 1, such as 0.95; got {options.confidence!r}.")
     if options.half_width is not None and not options.half_width > 0.0:
         raise ValueError(f"half_width must be a positive share of the first figure; got {options.half_width!r}.")
+
+
+def check_key(key: Any) -> None:
+    """Raise `TypeError` for anything but a JAX array."""
+    if not isinstance(key, jax.Array):
+        raise TypeError(f"key must be one of jax.random.key(seed); got {key!r}.")
+
+
+def checked_draws(draws: Any) -> AbstractDraws:
+    """The kind of draws; raises `TypeError` for anything else."""
+    if not isinstance(draws, AbstractDraws):
+        raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
+    return draws
+
+
+def _check_devices(devices: Any) -> None:
+    if devices is None:
+        return
+    if not (len(devices) and all(isinstance(one, jax.Device) for one in devices)):
+        raise ValueError(f"devices must be some of jax.devices(), or None for all of them; got {devices!r}.")
+    others = sorted({one.process_index for one in devices} - {jax.process_index()})
+    if others:
+        raise ValueError(
+            f"devices must be of this process ({jax.process_index()}), as jax.local_devices() are; got some of process "
+            f"{', '.join(map(str, others))}. Leave devices out, and `sample` divides its samples among all processes."
+        )
+
+
+def check_numbers(first: Any, sampling: Any) -> int:
+    """The number of the first sample; raises `ValueError` unless all can be drawn from `first` on."""
+    if not isinstance(first, int | np.integer) or first < 0:
+        raise ValueError(f"first must be the number of a sample, a whole number from 0 on; got {first!r}.")
+    if sampling.scrambles and first % sampling.scrambles:
+        raise ValueError(f"first must be a multiple of the {sampling.scrambles} scrambles of Sobol; got {first}.")
+    most = sampling.draws.most
+    if int(first) + int(sampling.count) > most:
+        raise ValueError(
+            f"a key has {most} samples; got first {first} and count {sampling.count}. Draw the others with another key."
+        )
+    return int(first)
+
+
+def refuse_traced(function: str, arguments: Any) -> None:
+    """Raise `TypeError` for traced arguments, or results of constant arguments inside of `jit`."""
+    if is_known(arguments):
+        return
+    raise TypeError(
+        f"{function} draws samples in parts and returns plain numbers, which jit, vmap and derivatives do not allow: "
+        "call it outside of them, or use jaxgeo.uncertainty.error_samples there."
+    )
 
 
 def merge_sampling(function: str, sampling: Any, given: Mapping[str, Any]) -> Any:

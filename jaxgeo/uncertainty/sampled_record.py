@@ -1,0 +1,274 @@
+"""Result of Monte Carlo sampling: counts, moments and quantiles of sampled errors, and merging of its parts."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxgeo._record import Record, portable
+from jaxgeo.fix import Fix
+from jaxgeo.status import Status
+from jaxgeo.uncertainty.histogram import RadiusHistogram
+from jaxgeo.uncertainty.intervals import Interval, quantile_interval, scramble_quantile, scrambled_interval
+from jaxgeo.uncertainty.origin import Origin
+
+
+class Quantile(NamedTuple):
+    """Accuracy figure from samples, m: `value`, and its confidence interval from `low` to `high`.
+
+    All samples count, those without a fix as infinitely far; infinite if too many fail. `conditional` is the figure of
+    the samples with a fix only, and `share` their share.
+    """
+
+    value: float
+    low: float
+    high: float
+    conditional: float
+    share: float
+
+
+@portable
+class SampleRun(NamedTuple):
+    """Samples number `first` to `first + count - 1`, and `sums` (4, 4) over those with a fix of the products of (east,
+    north, up, 1), in m about the centre."""
+
+    first: int
+    count: int
+    sums: np.ndarray
+
+    @property
+    def end(self) -> int:
+        """Number of the sample after the last one."""
+        return self.first + self.count
+
+
+class Sampled(Record):
+    """Accuracy of a fix from samples.
+
+    `found` of `count` samples have a fix; `statuses` counts all of them by status. `mean_enu` in m and `cov_enu` in m2
+    are those of the samples with a fix. `errors_enu` (count, 3) in m, NaN without a fix, and the status `codes`
+    (count,) are set with `keep`. Errors are relative to `centre_enu`: the nominal fix (0, 0, 0), or the mean. `radii`
+    holds the distances in m from the centre by figure, in the order of the samples' numbers; with `summary` it is
+    empty, and `histograms` hold their counts. `runs` are the runs of samples that were drawn at a time.
+    """
+
+    fix: Fix
+    count: int
+    found: int
+    statuses: dict[Status, int]
+    mean_enu: np.ndarray
+    cov_enu: np.ndarray
+    centre_enu: np.ndarray
+    radii: dict[str, np.ndarray]
+    scrambles: int
+    confidence: float
+    errors_enu: np.ndarray | None = None
+    codes: np.ndarray | None = None
+    histograms: dict[str, RadiusHistogram] | None = None
+    runs: tuple[SampleRun, ...] = ()
+    origin: Origin | None = eqx.field(static=True, default=None)
+
+    def circular_error(self, probability: float) -> Quantile:
+        """Radius of the horizontal circle about the centre that contains this share of the samples."""
+        return self._checked_quantile("CE", probability)
+
+    def linear_error(self, probability: float) -> Quantile:
+        """Half-height of the vertical interval about the centre that contains this share of the samples."""
+        return self._checked_quantile("LE", probability)
+
+    def spherical_error(self, probability: float) -> Quantile:
+        """Radius of the sphere about the centre that contains this share of the samples."""
+        return self._checked_quantile("SE", probability)
+
+    @property
+    def failed(self) -> float:
+        """Share of the samples without a fix."""
+        return 1.0 - self.found / self.count
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """The figures that were asked for."""
+        return tuple(self.radii if self.histograms is None else self.histograms)
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """(first, end) of the unbroken ranges of sample numbers, the end not included; more than one after a merge of
+        parts with gaps between them."""
+        joined: list[tuple[int, int]] = []
+        for run in self.runs:
+            if joined and joined[-1][1] == run.first:
+                joined[-1] = joined[-1][0], run.end
+            else:
+                joined.append((run.first, run.end))
+        return tuple(joined)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """The numbers of the samples (count,), in order."""
+        return np.concatenate([np.arange(*each) for each in self.ranges or ((0, self.count),)])
+
+    def merge(self, *others: Sampled) -> Sampled:
+        """The samples of this and other parts of one sampling, as if they had been drawn at once.
+
+        Parts are drawn by `sample` with the same arguments, each with its own `first` and `count`. The result does not
+        depend on the order or grouping of merges. Counts, statuses, radii and quantiles are those of the samples drawn
+        at once; mean and covariance too, up to rounding. Parts may leave gaps (see `ranges`): samples are independent,
+        so that any set of them estimates the same figures. A merge of radii and summaries is a summary; samples are
+        kept if all parts keep them.
+
+        Raises `TypeError` for other arguments than `Sampled`, and `ValueError` for parts that share samples, of another
+        sampling (sensor, shot, pixel, terrain, errors, key, ...), or with other figures or another confidence.
+        """
+        return merged(self, others)
+
+    def summarised(self) -> Sampled:
+        """The same without single samples: counts in bins in place of radii, as drawn with `summary`."""
+        if self.histograms is not None:
+            return self
+        groups = max(self.scrambles, 1)
+        histograms = {figure: RadiusHistogram.of(radii, groups) for figure, radii in self.radii.items()}
+        return dataclasses.replace(self, radii={}, histograms=histograms, errors_enu=None, codes=None)
+
+    def _checked_quantile(self, figure: str, probability: float) -> Quantile:
+        if not 0.0 < probability < 1.0:
+            raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
+        if figure not in self.figures:
+            kept = ", ".join(self.figures) or "none"
+            raise ValueError(f"{figure} was not asked for; figures: {kept}. Sample again with it.")
+        return self.quantile(figure, probability)
+
+    def quantile(self, figure: str, probability: float) -> Quantile:
+        """One of the figures "CE", "LE" and "SE", for arguments that are known to be valid."""
+        value, low, high = self.interval(figure, probability)
+        conditional = value if self.found == self.count else self._quantile_of_found(figure, probability)
+        return Quantile(float(value), float(low), float(high), float(conditional), self.found / self.count)
+
+    def interval(self, figure: str, probability: float) -> Interval:
+        """A figure and its confidence interval, for arguments that are known to be valid."""
+        if self.histograms is not None:
+            return self.histograms[figure].interval(probability, self.confidence)
+        return interval_of_radii(self.radii[figure], probability, self.confidence, self.scrambles)
+
+    def _quantile_of_found(self, figure: str, probability: float) -> float:
+        """The figure of the samples with a fix; NaN if there are none."""
+        if self.histograms is not None:
+            return self.histograms[figure].quantile_of_found(probability)
+        radii = self.radii[figure]
+        known = radii[np.isfinite(radii)]
+        return quantile_interval(known, probability)[0] if known.size else np.nan
+
+
+def interval_of_radii(radii: np.ndarray, probability: float, confidence: float, scrambles: int) -> Interval:
+    """Quantile and its confidence interval, from independent draws or from independent scrambles."""
+    if not scrambles:
+        return quantile_interval(radii, probability, confidence)
+    each = [scramble_quantile(radii[number::scrambles], probability) for number in range(scrambles)]
+    return scrambled_interval(np.array(each), confidence)
+
+
+def moments_of(runs: Sequence[SampleRun], centre: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """(number of samples with a fix, mean, covariance) of runs of samples, whatever their order."""
+    each = np.array([run.sums for run in runs]).reshape(len(runs), 16)
+    sums = np.array([math.fsum(column) for column in each.T]).reshape(4, 4)
+    found = round(float(sums[3, 3]))
+    mean = sums[:3, 3] / found if found else np.full(3, np.nan)
+    if found < 2:
+        return found, mean + centre, np.full((3, 3), np.nan)
+    return found, mean + centre, (sums[:3, :3] - found * np.outer(mean, mean)) / (found - 1)
+
+
+def merged(first: Sampled, others: Sequence[Any]) -> Sampled:
+    """`Sampled.merge`."""
+    every = [first, *others]
+    for number, part in enumerate(every):
+        if not isinstance(part, Sampled):
+            raise TypeError(f"merge takes Sampled parts, as merge(second, third); got {type(part).__name__}.")
+        if number:
+            _check_same(number, first, part)
+    if not others:
+        return first
+    if any(part.histograms is not None for part in every):
+        every = [part.summarised() for part in every]
+    runs = sorted((run for part in every for run in part.runs), key=lambda run: run.first)
+    _check_apart(runs)
+    order = _order(every)
+    found, mean, cov = moments_of(runs, first.centre_enu)
+    keeps = all(part.errors_enu is not None and part.codes is not None for part in every)
+    histograms = None
+    if every[0].histograms is not None:
+        histograms = {
+            figure: one.merge([part.histograms[figure] for part in every[1:] if part.histograms is not None])
+            for figure, one in every[0].histograms.items()
+        }
+    return Sampled(
+        fix=first.fix,
+        count=sum(run.count for run in runs),
+        found=found,
+        statuses=_added([part.statuses for part in every]),
+        mean_enu=mean,
+        cov_enu=cov,
+        centre_enu=first.centre_enu,
+        radii={figure: order(lambda part, figure=figure: part.radii[figure]) for figure in every[0].radii},
+        scrambles=first.scrambles,
+        confidence=first.confidence,
+        errors_enu=order(lambda part: part.errors_enu) if keeps else None,
+        codes=order(lambda part: part.codes) if keeps else None,
+        histograms=histograms,
+        runs=tuple(runs),
+        origin=first.origin,
+    )
+
+
+def _order(parts: Sequence[Sampled]) -> Callable[[Callable[[Sampled], Any]], np.ndarray]:
+    """A function that puts one array of all parts (by sample) in the order of the samples' numbers."""
+    pieces = []
+    for part in parts:
+        start = 0
+        for run in part.runs:
+            pieces.append((run.first, part, slice(start, start + run.count)))
+            start += run.count
+    pieces.sort(key=lambda piece: piece[0])
+    return lambda array_of: np.concatenate([array_of(part)[place] for _, part, place in pieces])
+
+
+def _added(statuses: Sequence[Mapping[Status, int]]) -> dict[Status, int]:
+    """Counts by status of all parts together."""
+    return {code: total for code in Status if (total := sum(each.get(code, 0) for each in statuses))}
+
+
+def _check_same(number: int, first: Sampled, part: Sampled) -> None:
+    """Raise `ValueError` unless a part is of the same sampling as the first one."""
+    if first.origin is None or part.origin is None or not first.runs or not part.runs:
+        raise ValueError(
+            f"part {0 if first.origin is None else number} cannot be merged: it does not come from sample(...), and "
+            "what was sampled is not known. Parts are samples of sample(..., first=..., count=...)."
+        )
+    others = first.origin.differences(part.origin)
+    if others:
+        raise ValueError(
+            f"part {number} is no part of the same sampling as part 0: {', '.join(others)} differ. Draw parts with the "
+            "same arguments, except for first and count."
+        )
+    for name, ours, theirs in (
+        ("figures", sorted(first.figures), sorted(part.figures)),
+        ("confidence", first.confidence, part.confidence),
+    ):
+        if ours != theirs:
+            raise ValueError(
+                f"part {number} has other {name} than part 0: {theirs} and {ours}. Draw parts with the same ones."
+            )
+
+
+def _check_apart(runs: Sequence[SampleRun]) -> None:
+    """Raise `ValueError` if two runs, in order, share samples."""
+    for run, following in itertools.pairwise(runs):
+        if following.first < run.end:
+            last = min(run.end, following.end) - 1
+            which = f"samples {following.first} to {last} are" if last > following.first else f"sample {last} is"
+            raise ValueError(f"{which} in two parts, and would count twice. Give each part a first of its own.")
