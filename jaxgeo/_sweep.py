@@ -91,7 +91,8 @@ def sweep(
     `executor` evaluates blocks in parallel: any `concurrent.futures.Executor` (with processes started by `spawn`), or a
     `dask.distributed.Client`. The result does not depend on it. With a `folder` (a Zarr store) blocks are written as
     they are done, and a later call with the same function, axes, block size and `version` computes only what is
-    missing; write another `version` if something changes that the code of `function` itself does not show. `progress`
+    missing. The function counts with its text, and the values and functions of its module that it uses; give another
+    `version` if something else changes, such as a file that it reads. `progress`
     shows a progress bar.
 
     Raises `ValueError` for an axis without values, an argument without an axis, results of other names or shapes in
@@ -188,12 +189,8 @@ def _check_arguments(function: Callable[..., Any], plan: _Plan) -> None:
 
 def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, version: str) -> dict[str, str]:
     """What results depend on, by name: text of the function, values of each axis, blocks, versions."""
-    try:
-        text = inspect.getsource(function)
-    except (OSError, TypeError):
-        text = repr(function)
     return {
-        "function": digest_of((getattr(function, "__qualname__", ""), text)),
+        "function": digest_of(_code_of(function, set())),
         **{f"axis {name}": digest_of(plan.numeric.get(name, plan.others.get(name))) for name in plan.names},
         "block": str((plan.block, vectorize)),
         "version": version,
@@ -201,6 +198,32 @@ def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, versio
         "jax": jax.__version__,
         "64-bit floats": str(jax.config.jax_enable_x64),  # pyright: ignore
     }
+
+
+def _code_of(function: Any, seen: set[int]) -> list[Any]:
+    """Text of a function, and the values that it uses: defaults, closures, globals, and functions beside it."""
+    function = inspect.unwrap(function)
+    if id(function) in seen:
+        return []
+    seen.add(id(function))
+    if isinstance(function, functools.partial):
+        return [_code_of(function.func, seen), function.args, function.keywords]
+    if inspect.ismethod(function):
+        return [_code_of(function.__func__, seen), function.__self__]
+    try:
+        text = inspect.getsource(function)
+    except (OSError, TypeError):
+        text = repr(getattr(getattr(function, "__code__", None), "co_code", type(function).__qualname__))
+    if not inspect.isfunction(function):
+        return [text, function if jax.tree.leaves(function) != [function] else ""]
+    used = inspect.getclosurevars(function)
+    values = [text, function.__defaults__, function.__kwdefaults__]
+    for name, value in sorted({**used.globals, **used.nonlocals}.items()):
+        if inspect.ismodule(value):
+            continue
+        is_beside = callable(value) and getattr(value, "__module__", None) == function.__module__
+        values += [name, _code_of(value, seen) if is_beside else value]
+    return values
 
 
 def _computed(

@@ -8,6 +8,7 @@ import json
 import os
 import pathlib
 import pickle
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -152,7 +153,7 @@ class Store:
 def digest_of(value: Any) -> str:
     """Short digest of numbers, texts and records by value."""
     leaves, structure = jax.tree.flatten(value)
-    sha = hashlib.sha256(str(structure).encode())
+    sha = hashlib.sha256(re.sub(r" at 0x[0-9a-f]+", "", str(structure)).encode())
     for leaf in leaves:
         if isinstance(leaf, np.ndarray | np.generic | jax.Array | int | float | complex):
             array = np.asarray(leaf)

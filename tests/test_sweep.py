@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import functools
 import multiprocessing
 import os
 import pathlib
@@ -222,6 +223,53 @@ def test_another_study_does_not_go_to_the_same_folder(change: Any, words: str, t
     sweep(**given)
     with pytest.raises(ValueError, match=f"holds another sweep, with other values of: {words}"):
         sweep(**given | change)
+
+
+FACTOR = 2.0
+
+
+def helped(x: Any) -> Any:
+    return FACTOR * x
+
+
+def by_global(x: Any) -> dict[str, Any]:
+    return {"y": helped(x)}
+
+
+def by_closure(factor: Any) -> Any:
+    def of_x(x: Any, more: float = 1.0) -> dict[str, Any]:
+        return {"y": factor * x + more}
+
+    return of_x
+
+
+def by_partial(factor: Any) -> Any:
+    return functools.partial(lambda x, factor: {"y": factor * x}, factor=factor)
+
+
+def by_default(factor: float) -> Any:
+    function = by_closure(1.0)
+    function.__defaults__ = (factor,)
+    return function
+
+
+@pytest.mark.parametrize("make", [by_closure, by_partial, by_default, lambda x: jax.jit(by_closure(np.full(3, x)))])
+def test_values_that_a_function_uses_are_part_of_the_study(make: Any, tmp_path: pathlib.Path) -> None:
+    axes = {"x": [1.0, 2.0]}
+    found = sweep(make(2.0), axes, folder=tmp_path / "study")
+    assert sweep(make(2.0), axes, folder=tmp_path / "study").identical(found)
+    with pytest.raises(ValueError, match="holds another sweep, with other values of: function"):
+        sweep(make(3.0), axes, folder=tmp_path / "study")
+
+
+def test_globals_are_part_of_the_study_and_of_the_functions_beside_it(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
+    sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
+    monkeypatch.setattr(sys.modules[__name__], "FACTOR", 3.0)
+    with pytest.raises(ValueError, match="holds another sweep, with other values of: function"):
+        sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: pathlib.Path) -> None:
