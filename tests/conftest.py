@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import pathlib
@@ -23,18 +24,24 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Compiling is most of the suite's time: what was compiled once, in any process, is not compiled again.
 jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+# Commands in processes of their own load bytecode in place of compiling the package each time.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.setdefault("JAXGEO_CACHE_DIR", str(PROJECT / ".cache" / "jaxgeo"))  # of commands in processes of their own
 # What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
 # comes to hang on how one compiler does. With XLA_FLAGS in the environment, be it empty, tests run what users run.
 QUICK_TO_COMPILE = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    # Passes that are slow, as in `jaxgeo._compile`.
+    " --xla_disable_hlo_passes=while-loop-invariant-code-motion,simplify-while-loops,tree_reduction_rewriter"
 )
 # Without optimisation, XLA of jaxlib 0.10 gives wrong numbers with AVX2, not the same ones every time.
 if platform.machine() in ("x86_64", "AMD64"):
     QUICK_TO_COMPILE += " --xla_cpu_max_isa=SSE4_2"
 
 
-MOST_RESIDENT, MORE_RESIDENT = 2_000_000_000, 500_000_000  # bytes of a process of tests, of which there may be many
+# Bytes of a process, of which there may be many. A compiled program, be it one addition, takes one to two megabytes.
+MUCH_RESIDENT, MOST_RESIDENT = 1_400_000_000, 1_700_000_000  # from which on programs go after a file, after a test
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -59,6 +66,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
 
 
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()  # modules and tests stay to the end: cycles are not looked for among them again
+
+
 def pytest_report_header() -> str:
     return f"mutants of files: {VARIABLE}={os.environ[VARIABLE]}"
 
@@ -76,20 +88,29 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         )
 
 
-@pytest.fixture(scope="session")
-def memory_bound() -> list[int]:
-    """Bytes from which on a process lets go of its compiled programs; they move up with what it then still holds."""
-    return [MOST_RESIDENT]
-
-
 @pytest.fixture(scope="module", autouse=True)
-def memory_within_bounds(memory_bound: list[int]) -> Iterator[None]:
-    """After a file of tests that leaves the process large, compiled programs go, most of which nobody calls again."""
+def memory_within_bounds() -> Iterator[None]:
+    """Compiled programs are dropped after a file of tests that leaves the process large; few are called again."""
     yield
-    if _resident() > memory_bound[0]:
-        jax.clear_caches()
-        gc.collect()
-        memory_bound[0] = max(MOST_RESIDENT, _resident() + MORE_RESIDENT)
+    if _resident() > MUCH_RESIDENT:
+        _drop_programs()
+
+
+@pytest.fixture(autouse=True)
+def memory_within_limits() -> Iterator[None]:
+    """Compiled programs are dropped after any test that leaves the process very large."""
+    yield
+    if _resident() > MOST_RESIDENT:
+        _drop_programs()
+
+
+def _drop_programs() -> None:
+    jax.clear_caches()
+    gc.collect()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc keeps what is freed; other libraries do not
+        if trim is not None:
+            trim(0)
 
 
 def _resident() -> int:

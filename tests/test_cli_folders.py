@@ -387,6 +387,7 @@ def test_merged_sentences_keeps_order_and_counts() -> None:
 LENS = "[camera]\nwidth = {}\nheight = {}\nfocal_px = {}\n[errors]\nfocal_px = {}\nprincipal_px = {}\n"
 
 
+@pytest.mark.slow
 def test_errors_of_a_lens_of_a_scene_are_those_of_the_image_at_its_size(flight: pathlib.Path) -> None:
     """The same camera and the same relative errors, written for images of another size, give the same CE90."""
     found = []

@@ -125,15 +125,21 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return programs
 
 
+@pytest.fixture(scope="module")
+def whole() -> Any:
+    """All pixels by one program."""
+    return jax.jit(jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL))(*_scene(), PIXELS, GROUND)
+
+
 @pytest.mark.parametrize("count", [1, 7, 1024, 2500])
-def test_a_vmap_called_directly_is_one_program_for_all_counts(count: int, compiled: list[Any]) -> None:
+def test_a_vmap_called_directly_is_one_program_for_all_counts(count: int, compiled: list[Any], whole: Any) -> None:
     ground = jaxgeo.ConstantHeight(jnp.asarray(600.0))
     of_pixels = lambda count: jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(*_scene(), PIXELS[:count], ground)  # noqa: E731
     of_pixels(5)
     before = len(compiled)
     found = of_pixels(count)
     assert len(compiled) == before, "compiled again"
-    alone = jax.jit(jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL))(*_scene(), PIXELS[:count], GROUND)
+    alone = jax.tree.map(lambda leaf: leaf[:count], whole)
     assert found.slant_range.shape == (count,)
     assert found.status.dtype == alone.status.dtype
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(alone), strict=True):
@@ -147,6 +153,20 @@ def test_another_mapped_argument_is_another_program(compiled: list[Any]) -> None
 
 
 def test_a_vmap_of_a_vmap_and_derivatives_within_one_are_of_the_usual_program() -> None:
+    """Of a small function, for what decides is which transformations there are."""
+    slant = quick_jit(lambda uv: jnp.sqrt(1.0 + jnp.sum(uv**2)))
+    grid = np.arange(12.0).reshape(2, 3, 2)
+    expected = np.sqrt(1.0 + np.sum(grid**2, axis=-1))
+    np.testing.assert_allclose(jax.vmap(slant)(grid[0]), expected[0], rtol=1e-14)
+    np.testing.assert_allclose(jax.vmap(jax.vmap(slant))(grid), expected, rtol=1e-14)
+    slopes = jax.vmap(jax.grad(slant))(grid[0])
+    np.testing.assert_allclose(slopes, grid[0] / expected[0][:, None], rtol=1e-14)
+    total = jax.grad(lambda uv: jnp.sum(jax.vmap(slant)(uv)))(jnp.asarray(grid[0]))
+    np.testing.assert_allclose(total, slopes, rtol=1e-14)
+
+
+@pytest.mark.slow
+def test_a_vmap_of_a_vmap_and_derivatives_of_locate_within_one_are_of_the_usual_program() -> None:
     grid = PIXELS[:6].reshape(2, 3, 2)
     flat = jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(*_scene(), PIXELS[:6], GROUND)
     twice = jax.vmap(jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL), in_axes=BY_PIXEL)(*_scene(), grid, GROUND)

@@ -14,8 +14,10 @@ import jaxgeo
 
 PACKAGE = pathlib.Path(__file__).resolve().parents[1] / "jaxgeo"
 SLOW = {  # of what they compile
+    "coverage/pointing.py",
     "io/acquisitions/detect.py",
     "io/acquisitions/several.py",
+    "io/observation_reader.py",
     "sensor/sensor.py",
     "uncertainty/_accuracy.py",
     "uncertainty/_budget.py",

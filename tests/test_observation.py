@@ -48,7 +48,8 @@ MORE = {
     "sigma_points": (uncertainty.sigma_points, (GROUND, ERRORS), {}),
     "gauss_helmert": (uncertainty.gauss_helmert, (GROUND, ERRORS), {}),
 }
-LONG = {"propagate", "accuracy without samples"}
+LONG = {"propagate"}
+LATER = {*MORE, "accuracy without samples"}  # the last is in `test_accuracy`, of many observations
 OF_EXPOSURE = {"project": (jaxgeo.project, (POINT,), {})}
 AIMING = {
     "point_gimbal": (coverage.point_gimbal, {"target": POINT}),
@@ -79,7 +80,7 @@ def test_an_observation_is_taken_apart(kind: str) -> None:
 
 # Compiled for a shot alone, the others are for the slow run: what an observation is taken apart into is tested above.
 COMPILED = [
-    pytest.param(name, kind, marks=[pytest.mark.slow] if name in MORE or (name in LONG and kind != "shot") else [])
+    pytest.param(name, kind, marks=[pytest.mark.slow] if name in LATER or (name in LONG and kind != "shot") else [])
     for name in (*OF_OBSERVATION, *MORE)
     for kind in EXPOSURES
 ]

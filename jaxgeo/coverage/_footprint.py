@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_array, check_finite
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._locate import FIRST_HIT, located_anywhere
 from jaxgeo._numerics import dot, larger, safe_angle, safe_norm
 from jaxgeo._record import Record
@@ -168,7 +168,7 @@ def ground_sample_distance(
     return _ground_sampling(*seen_from, terrain, air)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _ground_sampling(
     sensor: Sensor, motion: Any, time: Scalar, uv: PixelField, terrain: AbstractTerrain, air: Atmosphere | None
 ) -> GroundSampleDistance:
@@ -261,7 +261,7 @@ def _located(looked: Looked, uv: np.ndarray) -> tuple[Fix, np.ndarray]:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _seen_and_mapped(looked: Looked, uv: Float[Array, "places 2"]) -> tuple[Fix, Float[Array, "places 2"]]:
     fix = seen_at(looked.sensor, looked.image, uv, looked.terrain, looked.air)
     return fix, jax.vmap(lambda p: on_map(looked.projection, p))(fix.ecef)

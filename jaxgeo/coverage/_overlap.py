@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import as_float64, concrete
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import dot, larger, safe_norm, smaller
 from jaxgeo._record import Record
@@ -248,7 +248,7 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     return Overlap(near_, far_, least, along, across, side_, sideways, area, step, status)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _overlap(
     sensor: Sensor,
     before: Image,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.coverage.exposure import Along, image_size
 from jaxgeo.earth import WGS84, Geodetic
@@ -100,7 +100,7 @@ def _clear_axis(corners: np.ndarray, direction: np.ndarray) -> Along | None:
     return None
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _corners(
     sensor: Sensor, trajectory: Trajectory, times: Float[Array, " moments"], height: Scalar
 ) -> tuple[Float[Array, "moments 4 3"], Float[Array, "moments 3"], Float[Array, " moments"]]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._arguments import checked_exposure
 from jaxgeo._checks import check_is
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT, locate
 from jaxgeo._numerics import dot
 from jaxgeo._record import Record
@@ -101,7 +101,7 @@ def end_places(sensor: Sensor, along: Along) -> Places:
     return jnp.stack([middle.at[across].set(end) for end in (-0.5, size[across] - 0.5)])
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def near_edge(
     sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, atmosphere: Atmosphere | None = None
 ) -> Fix:

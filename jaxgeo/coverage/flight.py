@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is, check_range
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import cross, matvec, safe_norm
 from jaxgeo._record import Record
@@ -343,7 +344,7 @@ def _length_at_near_end(strip: Strip, shot: Shot, edges: GroundEdges, ahead: Vec
     return jnp.where(reach[0] <= reach[1], lengths[0], lengths[1])
 
 
-_near_length = eqx.filter_jit(near_length)
+_near_length = quick_filter_jit(near_length)
 
 
 def _overlaps(strip: Strip, edges: GroundEdges) -> Overlap:

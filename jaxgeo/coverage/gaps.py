@@ -14,6 +14,7 @@ from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int8
 
 from jaxgeo._checks import check_is
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.coverage.exposure import end_places
@@ -218,7 +219,7 @@ def required_overlap(
     return float(scipy.optimize.brentq(short, LEAST, MOST, xtol=CLOSE))  # pyright: ignore[reportArgumentType]
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _flown(strip: Strip, noise: FlightNoise, key: Any, numbers: Any, compensation: Compensation) -> Any:
     size, spec = normals_of(strip), jnp.asarray(specs_of(strip))
 
@@ -231,7 +232,7 @@ def _flown(strip: Strip, noise: FlightNoise, key: Any, numbers: Any, compensatio
     return jax.vmap(one)(numbers)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _linear(strip: Strip, noise: FlightNoise, compensation: Compensation) -> Any:
     def ends(normals: Float[Array, " normals"]) -> Any:
         overlap = flown(strip, noise, normals, compensation)
@@ -290,6 +291,6 @@ def _primes(count: int) -> list[int]:
     return found
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _shots_as_planned(strip: Strip, noise: FlightNoise) -> Any:
     return shots_of(strip, noise, jnp.zeros(normals_of(strip)), Compensation())

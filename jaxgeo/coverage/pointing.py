@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -12,6 +11,7 @@ from jaxtyping import Array, Bool
 
 from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._locate import FIRST_HIT, visibility
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
@@ -132,7 +132,7 @@ def line_of_sight(sensor: Sensor, shot: Shot, *, uv: Numbers | None = None) -> L
     return LineOfSight(matvec(sensor.R_ned_from_camera(shot), sight))
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _pointed_along(
     sensor: Sensor,
     poses: Pose,
@@ -162,7 +162,7 @@ def _judged(
     return Pointing(found.readings, found.miss, status)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _in_sight(
     sensor: Sensor, pose: Pose, target: Geodetic, readings: Array, terrain: AbstractTerrain, air: Atmosphere | None
 ) -> StatusCode:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_finite, check_is
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import larger, matvec, safe_norm, smaller
 from jaxgeo._record import Record
@@ -191,7 +192,7 @@ class GroundShared(AbstractTiming):
         return np.array(times)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array, total: Array, goal: Scalar) -> Scalar:
     """Time of the image after one at `time`; infinite if the trajectory ends before."""
     longest = course.last - time
@@ -279,7 +280,7 @@ def _overlaps_of(course: Course, times: np.ndarray, stations: int) -> Overlap:
     return jax.tree.map(lambda x: x[: len(times) - 1], overlaps_at(course, jnp.asarray(filled), stations))
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def overlaps_at(course: Course, times: Float[Array, " images"], stations: int = STATIONS) -> Overlap:
     """Overlaps of consecutive images at the given times; the leading axis is one less than that of the times."""
     ground = images_at(course, times, stations)
@@ -316,7 +317,7 @@ def pair(course: Course, time: Scalar, before: GroundEdges, after: GroundEdges, 
     return shared(first, second, direction, stations)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " times"]:
     """Speed of the near end's ground point over the image's length along the flight there, at times, 1/s."""
 

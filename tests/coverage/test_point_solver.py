@@ -81,7 +81,7 @@ def half_narrow(sensor):
 
 
 TABLE = [
-    pytest.param(name, solver, marks=() if (name, solver) == ("two axes", "Newton, SVD") else pytest.mark.slow)
+    pytest.param(name, solver, marks=pytest.mark.slow)
     for name in EVERY
     for solver in SOLVERS
     if len(EVERY[name].gimbal.axes) > 1 or solver != "Newton"

@@ -20,7 +20,8 @@ import jaxgeo
 from jaxgeo import Fix, Status
 from jaxgeo.io import VerticalDatumError, _fix_columns, _map_crs
 from jaxgeo.io.fix_files import write_fixes
-from jaxgeo.uncertainty import accuracy
+from jaxgeo.uncertainty import Accuracy, Method, accuracy
+from jaxgeo.uncertainty.method_selection import Diagnostics
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from tests.support import looks
 from tests.support.made_fixes import ALPS, DATE_LINE, LEVEL, made
@@ -408,9 +409,11 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
 )
 def test_an_infinite_radius_is_no_number_where_there_is_none(tmp_path, located: Fix, suffix: str, written: Any) -> None:
     """Too many samples have failed: the radius is not left looking unknown where a format can say infinite."""
-    told = accuracy(SENSOR, SHOT, UV, GROUND, MODEL, block=1)
-    object.__setattr__(told, "circular", np.array([np.inf, np.nan]))
-    object.__setattr__(told, "cov_enu", np.full((2, 3, 3), np.nan))
+    radii = np.array([np.inf, np.nan])
+    diagnostics = Diagnostics(*[np.ones(2)] * len(Diagnostics._fields))
+    method = np.array([Method.samples, -1], np.int8)
+    cov, bias, failed = np.full((2, 3, 3), np.nan), np.full((2, 3), np.nan), np.array([0.2, np.nan])
+    told = Accuracy(located, np.full(2, 0.9), radii, radii, radii, method, cov, bias, failed, diagnostics, count=100)
     write_fixes(tmp_path / f"fixes{suffix}", located, accuracy=told)
     rows, _, outlines = read(tmp_path / f"fixes{suffix}")
     assert rows[0]["ce90_m"] == written

@@ -65,7 +65,7 @@ def look_and_project(sensor, pose, point, uv):
 )
 def test_the_pixel_that_should_see_the_point_does(name):
     sensor, points = SENSORS[name], points_to_the_right()
-    for uv in (CAMERA.principal_px, jnp.array([7000.0, 900.0])):
+    for uv in (jnp.asarray(CAMERA.principal_px), jnp.array([7000.0, 900.0])):
         _, seen, inside = look_and_project(sensor, POSE, points, uv)
         assert np.all(inside)
         np.testing.assert_allclose(seen, np.tile(uv, (24, 1)), rtol=0, atol=1e-8)  # px; ECEF's last bit is 3e-9 px

@@ -12,7 +12,7 @@ import pytest
 
 import jaxgeo
 from jaxgeo import Exposure, Observation, Sampling, uncertainty
-from jaxgeo.uncertainty import NO_FIX, Accuracy, Method, Sobol, accuracy, accuracy_map, sample
+from jaxgeo.uncertainty import NO_FIX, Accuracy, Method, Sobol, accuracy, sample
 from jaxgeo.uncertainty.sampling import resolve_sampling
 from tests.support import looks
 
@@ -202,14 +202,3 @@ def test_sampling_and_separate_options_draw_the_same() -> None:
     here = sample(*SCENE, key=key, count=64)
     there = sample(*SCENE, sampling=Sampling(count=64, key=key))
     np.testing.assert_array_equal(here.radii["CE"], there.radii["CE"])
-
-
-def test_a_map_without_samples_keeps_its_figures_by_name() -> None:
-    sensor, shot, _, terrain, errors = SCENE
-    fix = jaxgeo.locate(sensor, shot, UV, terrain)
-    places = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], fix.position)
-    found = accuracy_map(sensor, shot, terrain, errors, places, sampling=None, block=1)
-    for name in (*RADII, "method", "failed", "count", "shape"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(found.accuracy, name))
-    assert found.probability == 0.9
-    np.testing.assert_array_equal(found.status, found.accuracy.fix.status)

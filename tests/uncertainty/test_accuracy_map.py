@@ -52,6 +52,13 @@ def level():
     return accuracy_map(LEVEL_SENSOR, LEVEL_SHOT, LEVEL, LEVEL_MODEL, positions(), block=8)
 
 
+def test_a_map_keeps_its_figures_by_name(level) -> None:
+    for name in (*FIGURES, "method", "failed", "count", "shape"):
+        np.testing.assert_array_equal(getattr(level, name), getattr(level.accuracy, name))
+    assert level.probability == 0.9
+    np.testing.assert_array_equal(level.status, level.accuracy.fix.status)
+
+
 def test_a_place_has_the_figures_of_its_pixel_alone(level) -> None:
     seen = np.argwhere(np.asarray(level.has_fix))
     assert 8 < len(seen) < LAT.size
