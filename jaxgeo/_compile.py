@@ -18,7 +18,7 @@ from jax.custom_batching import custom_vmap
 
 from jaxgeo._checks import is_known
 from jaxgeo._program_cache import folder_in_use
-from jaxgeo._program_store import Programs
+from jaxgeo._program_store import Programs, is_debugging
 
 ROWS = 1024  # items of a block under a `vmap` that is called directly
 MOST_ROWS = 16 * ROWS  # more items are a program of their own, which is quicker to run
@@ -149,6 +149,8 @@ class Batches:
         leaves, structure = jax.tree.flatten(inputs)
         traced: list[Any] = [leaf for leaf in leaves if isinstance(leaf, Tracer)]
         if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or not batch_options():
+            return None
+        if is_debugging():
             return None
         axes: Any = tuple(leaf.batch_dim if isinstance(leaf, Tracer) else None for leaf in leaves)
         values = [leaf.val if isinstance(leaf, Tracer) else leaf for leaf in leaves]

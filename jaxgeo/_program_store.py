@@ -68,7 +68,7 @@ class Programs:
         So it is for arguments with a class or function that is not of a known package, on other backends than the CPU,
         and for arrays on several devices.
         """
-        if jax.default_backend() != "cpu" or jax.config.jax_disable_jit:  # pyright: ignore
+        if jax.default_backend() != "cpu" or is_debugging():
             return None
         leaves: list[Any]
         leaves, structure = jax.tree.flatten((args, options))
@@ -121,11 +121,27 @@ class Programs:
         try:
             pickler = _Describing(file)
             pickler.fast = True  # by value: the same for equal arguments, however they share their parts
-            pickler.dump((described, sorted(self._options_of().items()), _settings()))
+            pickler.dump((_described(function), described, sorted(self._options_of().items()), _settings()))
         except (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError):
             return None
-        here = f"{function.__module__}.{function.__qualname__}\n{_environment()}\n".encode()
-        return f"program-{hashlib.sha256(here + file.getvalue()).hexdigest()}"
+        return f"program-{hashlib.sha256(_environment().encode() + file.getvalue()).hexdigest()}"
+
+
+def _described(function: Any) -> tuple[Any, ...]:
+    """A function by its code's name and place, and by the values it is closed over: a derivative of a function has the
+    function's own name. The code itself counts by versions. Raises `AttributeError` for what has no code."""
+    if not isinstance(function, types.FunctionType):
+        return _described(function.__wrapped__)
+    code = function.__code__
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    values = [_described(value) if isinstance(value, types.FunctionType) else value for value in cells]
+    return function.__module__, function.__globals__["__name__"], code.co_qualname, code.co_firstlineno, values
+
+
+def is_debugging() -> bool:
+    """Whether JAX is asked to find NaN or infinities, or to compile nothing: programs compiled ahead do not."""
+    names = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit")
+    return any(getattr(jax.config, name) for name in names)
 
 
 class _Kind(NamedTuple):
@@ -154,6 +170,8 @@ class _Describing(pickle.Pickler):
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, jax.Device):
             return str, (f"{obj.platform} {obj.id}",)
+        if isinstance(obj, types.ModuleType):
+            return str, (obj.__name__,)
         if isinstance(obj, type | types.FunctionType | types.BuiltinFunctionType | types.MethodType):
             package = (getattr(obj, "__module__", None) or "builtins").partition(".")[0]
             if package not in ("jaxgeo", *KNOWN_PACKAGES, *STANDARD):
@@ -226,6 +244,7 @@ def _write(path: pathlib.Path, program: Program) -> None:
     with contextlib.suppress(Exception):  # it holds a callback to Python, or the disk is full
         content, arguments, arrays = serialize_executable.serialize(program.run)
         written = pickle.dumps((content, arguments.num_leaves, arrays.num_leaves, program.results, program.has_lapack))
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix="partial-", delete=False) as file:
-            file.write(zlib.compress(written, 1))
-        os.replace(file.name, path)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix="partial-") as folder:
+            file = pathlib.Path(folder) / "program"
+            file.write_bytes(zlib.compress(written, 1))
+            os.replace(file, path)

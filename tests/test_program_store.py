@@ -19,28 +19,25 @@ import pytest
 from jaxgeo import _program_store
 from jaxgeo._program_store import Programs
 
+TRACED: list[str] = []
 
-class Counted:
-    """A function of arrays and a word, and how often it was traced."""
 
-    def __init__(self) -> None:
-        self.traced = 0
-        self.__module__, self.__name__, self.__qualname__ = "jaxgeo.tests", "counted", "counted"
-
-    def __call__(self, x: Any, y: Any, *, word: str = "sum") -> Any:
-        self.traced += 1
-        total = jnp.sum(x) if word == "sum" else jnp.prod(x)
-        return {"total": total + y, "word": word, "none": None}
+def function(x: Any, y: Any, *, word: str = "sum") -> Any:
+    """Of arrays and a word; notes when it is traced."""
+    TRACED.append(word)
+    total = jnp.sum(x) if word == "sum" else jnp.prod(x)
+    return {"total": total + y, "word": word, "none": None}
 
 
 @pytest.fixture
-def counted() -> Counted:
-    return Counted()
+def traced() -> list[str]:
+    TRACED.clear()
+    return TRACED
 
 
-def in_a_new_process(function: Counted) -> Programs:
+def in_a_new_process(of: Any = function) -> Programs:
     """Programs as a process has them that has compiled nothing yet."""
-    return Programs(function, dict, eqx.is_array)  # pyright: ignore
+    return Programs(of, dict, eqx.is_array)
 
 
 def called(programs: Programs, folder: pathlib.Path, *args: Any, **options: Any) -> Any:
@@ -49,22 +46,22 @@ def called(programs: Programs, folder: pathlib.Path, *args: Any, **options: Any)
     return call()
 
 
-def test_a_later_process_does_not_trace(counted: Counted, tmp_path: pathlib.Path) -> None:
+def test_a_later_process_does_not_trace(traced: list[str], tmp_path: pathlib.Path) -> None:
     x = jnp.arange(1.0, 5.0)
-    found = [called(in_a_new_process(counted), tmp_path, x, jnp.asarray(0.5)) for _ in range(3)]
-    assert counted.traced == 1
+    found = [called(in_a_new_process(), tmp_path, x, jnp.asarray(0.5)) for _ in range(3)]
+    assert len(traced) == 1
     for one in found:
         assert float(one["total"]) == 10.5
         assert (one["word"], one["none"]) == ("sum", None)
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_other_numbers_are_of_the_same_program(counted: Counted, tmp_path: pathlib.Path) -> None:
-    programs = in_a_new_process(counted)
+def test_other_numbers_are_of_the_same_program(traced: list[str], tmp_path: pathlib.Path) -> None:
+    programs = in_a_new_process()
     assert float(called(programs, tmp_path, jnp.ones(4), jnp.asarray(0.5, float))["total"]) == 4.5
     assert float(called(programs, tmp_path, 2.0 * jnp.ones(4), jnp.asarray(1.0, float))["total"]) == 9.0
     assert float(called(programs, tmp_path, np.full(4, 3.0), np.asarray(1.0))["total"]) == 13.0
-    assert counted.traced == 1
+    assert len(traced) == 1
 
 
 OTHERS: dict[str, Callable[[], tuple[tuple[Any, ...], dict[str, Any]]]] = {
@@ -80,41 +77,41 @@ OTHERS: dict[str, Callable[[], tuple[tuple[Any, ...], dict[str, Any]]]] = {
 }
 
 
-def test_every_other_kind_is_another_program(counted: Counted, tmp_path: pathlib.Path) -> None:
+def test_every_other_kind_is_another_program(traced: list[str], tmp_path: pathlib.Path) -> None:
     for number, args in enumerate(OTHERS.values()):
         for _ in range(2):
             given, options = args()
-            found = called(in_a_new_process(counted), tmp_path, *given, **options)
-            plain = counted(*given, **options)
-            counted.traced -= 1
+            found = called(in_a_new_process(), tmp_path, *given, **options)
+            plain = function(*given, **options)
+            traced.pop()
             assert found["total"] == plain["total"]
             assert found["total"].dtype == plain["total"].dtype
-        assert counted.traced == number + 1
+        assert len(traced) == number + 1
 
 
 def test_settings_and_flags_are_part_of_the_name(
-    counted: Counted, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+    traced: list[str], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     args = jnp.ones(4), jnp.asarray(0.5)
-    call = lambda: called(in_a_new_process(counted), tmp_path, *args)  # noqa: E731
+    call = lambda: called(in_a_new_process(), tmp_path, *args)  # noqa: E731
     call()
     with jax.numpy_dtype_promotion("strict"):
         call()
-    assert counted.traced == 2
+    assert len(traced) == 2
     monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", "") + " ")
     call()
-    assert counted.traced == 3
+    assert len(traced) == 3
     monkeypatch.setattr(_program_store, "_versions", lambda: ["another version"])
     call()
-    assert counted.traced == 4
+    assert len(traced) == 4
 
 
 class OfAUser(eqx.Module):
     factor: Any
 
 
-def test_what_another_process_cannot_know_is_not_kept(counted: Counted, tmp_path: pathlib.Path) -> None:
-    programs = in_a_new_process(counted)
+def test_what_another_process_cannot_know_is_not_kept(traced: list[str], tmp_path: pathlib.Path) -> None:
+    programs = in_a_new_process()
     assert programs.call(tmp_path, (OfAUser(jnp.ones(4)), 0.5), {}) is None
     assert programs.call(tmp_path, (jnp.ones(4), lambda x: x), {}) is None
     assert programs.call(tmp_path, (jnp.ones(4), test_what_another_process_cannot_know_is_not_kept), {}) is None
@@ -122,27 +119,60 @@ def test_what_another_process_cannot_know_is_not_kept(counted: Counted, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+def test_functions_of_one_name_are_told_apart(tmp_path: pathlib.Path) -> None:
+    """As a function and its derivatives, which have its name."""
+    square = lambda x: x * x  # noqa: E731
+    both, third = jax.value_and_grad(square), jax.grad(lambda x, y: x * y, argnums=1)
+    fourth, x = jax.grad(lambda x, y: x * y), jnp.asarray(3.0)
+    for _ in range(2):
+        assert float(called(in_a_new_process(square), tmp_path, x)) == 9.0
+        value, slope = called(in_a_new_process(both), tmp_path, x)
+        assert (float(value), float(slope)) == (9.0, 6.0)
+        assert float(called(in_a_new_process(third), tmp_path, x, 2.0 * x)) == 3.0
+        assert float(called(in_a_new_process(fourth), tmp_path, x, 2.0 * x)) == 6.0
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_no_program_is_kept_while_looking_for_nan(traced: list[str], tmp_path: pathlib.Path) -> None:
+    with jax.debug_nans(True):
+        assert in_a_new_process().call(tmp_path, (jnp.ones(4), 0.5), {}) is None
+    with jax.disable_jit():
+        assert in_a_new_process().call(tmp_path, (jnp.ones(4), 0.5), {}) is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_program_that_cannot_be_written_leaves_nothing(
+    traced: list[str], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> bytes:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_program_store.zlib, "compress", full)
+    assert float(called(in_a_new_process(), tmp_path, jnp.ones(4), jnp.asarray(0.5))["total"]) == 4.5
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("damage", [lambda b: b[:100], lambda b: b[:-50] + bytes(50), lambda _: b"", lambda _: b"text"])
-def test_a_damaged_file_is_replaced(counted: Counted, tmp_path: pathlib.Path, damage: Any) -> None:
+def test_a_damaged_file_is_replaced(traced: list[str], tmp_path: pathlib.Path, damage: Any) -> None:
     args = jnp.ones(4), jnp.asarray(0.5)
-    called(in_a_new_process(counted), tmp_path, *args)
+    called(in_a_new_process(), tmp_path, *args)
     (file,) = tmp_path.iterdir()
     whole = file.read_bytes()
     file.write_bytes(damage(whole))
     for _ in range(2):
-        assert float(called(in_a_new_process(counted), tmp_path, *args)["total"]) == 4.5
-        assert counted.traced == 2
+        assert float(called(in_a_new_process(), tmp_path, *args)["total"]) == 4.5
+        assert len(traced) == 2
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_folder_that_is_gone_does_not_matter(counted: Counted, tmp_path: pathlib.Path) -> None:
-    found = called(in_a_new_process(counted), tmp_path / "gone", jnp.ones(4), jnp.asarray(0.5))
+def test_a_folder_that_is_gone_does_not_matter(traced: list[str], tmp_path: pathlib.Path) -> None:
+    found = called(in_a_new_process(), tmp_path / "gone", jnp.ones(4), jnp.asarray(0.5))
     assert float(found["total"]) == 4.5
 
 
-def test_an_error_of_the_function_is_the_callers(counted: Counted, tmp_path: pathlib.Path) -> None:
+def test_an_error_of_the_function_is_the_callers(traced: list[str], tmp_path: pathlib.Path) -> None:
     with pytest.raises(TypeError, match="unsupported operand"):
-        called(in_a_new_process(counted), tmp_path, jnp.ones(4), None)
+        called(in_a_new_process(), tmp_path, jnp.ones(4), None)
     assert not list(tmp_path.iterdir())
 
 
