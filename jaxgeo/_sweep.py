@@ -48,13 +48,18 @@ class _Plan(NamedTuple):
     def shape(self) -> tuple[int, ...]:
         return tuple(len(self.coordinates[name][0]) for name in self.names)
 
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Length of a block along each axis."""
+        steps = dict(zip(self.numeric, self.block, strict=True))
+        return tuple(steps.get(name, 1) for name in self.names)
+
     def regions(self) -> Iterator[tuple[slice, ...]]:
         """Places of the blocks along all axes, in order."""
-        steps = dict(zip(self.numeric, self.block, strict=True))
-        places = []
-        for name, count in zip(self.names, self.shape, strict=True):
-            step = steps.get(name, 1)
-            places.append([slice(first, min(first + step, count)) for first in range(0, count, step)])
+        places = [
+            [slice(first, min(first + step, count)) for first in range(0, count, step)]
+            for step, count in zip(self.steps, self.shape, strict=True)
+        ]
         yield from itertools.product(*places)
 
     def cells(self, region: tuple[slice, ...]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -115,7 +120,7 @@ def sweep(
     regions = list(plan.regions())
     named_dims = {name: tuple(names) for name, names in (dims or {}).items()}
     results = Results(plan.names, plan.coordinates, dict(units or {}), named_dims)
-    store = None if folder is None else Store(folder, _identity(function, plan, vectorize, version))
+    store = None if folder is None else Store(folder, _identity(function, plan, vectorize, version), plan.steps)
     done = set() if store is None else store.read_into(results, regions)
     task = _task(function, plan, vectorize, executor)
     missing = [number for number in range(len(regions)) if number not in done]
@@ -133,7 +138,8 @@ def _plan(axes: Mapping[str, Any], most: int, vectorize: bool) -> _Plan:
     numeric, others, coordinates = {}, {}, {}
     for name, given in axes.items():
         axis = given if isinstance(given, Axis) else Axis(given)
-        if isinstance(axis.values, str) or not hasattr(axis.values, "__len__") or not len(axis.values):
+        is_sequence = isinstance(axis.values, Sequence | np.ndarray | jax.Array) and np.ndim(axis.values) != 0
+        if isinstance(axis.values, str | bytes) or not is_sequence or not len(axis.values):
             raise ValueError(f"axis {name}: give a sequence of one or more values; got {axis.values!r}.")
         values = list(axis.values)
         numbers = None if axis.labels is not None else _numbers(values)
@@ -154,7 +160,10 @@ def _numbers(values: list[Any]) -> np.ndarray | None:
     """The values as one array, if all are single numbers."""
     if not all(isinstance(value, int | float | np.number | np.bool_) or _is_scalar(value) for value in values):
         return None
-    return np.array([np.asarray(value)[()] for value in values])
+    numbers = np.array([np.asarray(value)[()] for value in values])
+    if numbers.dtype == object:
+        raise ValueError("an axis has numbers beyond 64 bits; give them as texts.")
+    return numbers
 
 
 def _is_scalar(value: Any) -> bool:
@@ -190,7 +199,8 @@ def _check_arguments(function: Callable[..., Any], plan: _Plan) -> None:
 def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, version: str) -> dict[str, str]:
     """What results depend on, by name: text of the function, values of each axis, blocks, versions."""
     return {
-        "function": digest_of(_code_of(function, set())),
+        "function": digest_of(function),
+        "order of the axes": ", ".join(plan.names),
         **{f"axis {name}": digest_of(plan.numeric.get(name, plan.others.get(name))) for name in plan.names},
         "block": str((plan.block, vectorize)),
         "version": version,
@@ -198,32 +208,6 @@ def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, versio
         "jax": jax.__version__,
         "64-bit floats": str(jax.config.jax_enable_x64),  # pyright: ignore
     }
-
-
-def _code_of(function: Any, seen: set[int]) -> list[Any]:
-    """Text of a function, and the values that it uses: defaults, closures, globals, and functions beside it."""
-    function = inspect.unwrap(function)
-    if id(function) in seen:
-        return []
-    seen.add(id(function))
-    if isinstance(function, functools.partial):
-        return [_code_of(function.func, seen), function.args, function.keywords]
-    if inspect.ismethod(function):
-        return [_code_of(function.__func__, seen), function.__self__]
-    try:
-        text = inspect.getsource(function)
-    except (OSError, TypeError):
-        text = repr(getattr(getattr(function, "__code__", None), "co_code", type(function).__qualname__))
-    if not inspect.isfunction(function):
-        return [text, function if jax.tree.leaves(function) != [function] else ""]
-    used = inspect.getclosurevars(function)
-    values = [text, function.__defaults__, function.__kwdefaults__]
-    for name, value in sorted({**used.globals, **used.nonlocals}.items()):
-        if inspect.ismodule(value):
-            continue
-        is_beside = callable(value) and getattr(value, "__module__", None) == function.__module__
-        values += [name, _code_of(value, seen) if is_beside else value]
-    return values
 
 
 def _computed(
@@ -253,6 +237,8 @@ def _computed(
                 for future in done:
                     yield waiting.pop(future), future.result()
                     advance()
+        except concurrent.futures.BrokenExecutor as error:
+            raise RuntimeError(f"a worker ended ({error}); blocks in folder= are kept, call again.") from error
         finally:
             for future in waiting:
                 future.cancel()
@@ -273,7 +259,7 @@ def _bar(total: int, progress: bool) -> Iterator[Callable[[], None]]:
 def _task(function: Callable[..., Any], plan: _Plan, vectorize: bool, executor: Any) -> Callable[..., Any]:
     """What evaluates a block, given its place; for other processes packed, with the versions and settings of this."""
     if executor is None or isinstance(executor, concurrent.futures.ThreadPoolExecutor):
-        return functools.partial(_block, function, plan, vectorize)
+        return functools.partial(_block, function, plan, _program(function) if vectorize else None)
     try:
         from cloudpickle import dumps  # functions of a notebook, too
     except ImportError:
@@ -288,14 +274,15 @@ def _block_elsewhere(data: bytes, is_x64: bool, version: str, region: tuple[slic
             f"a worker has jaxgeo {_version()}, this process {version}: install the same version on all."
         )
     with jax.enable_x64(is_x64):
-        function, plan, vectorize = _unpacked(data)
-        return _block(function, plan, vectorize, region)
+        function, plan, program = _unpacked(data)
+        return _block(function, plan, program, region)
 
 
 @functools.lru_cache(maxsize=4)
 def _unpacked(data: bytes) -> tuple[Any, ...]:
-    """The same function for all blocks, so that it is compiled once."""
-    return pickle.loads(data)
+    """(function, plan, program) of a sweep: the same for all blocks, so that they are compiled once."""
+    function, plan, vectorize = pickle.loads(data)
+    return function, plan, _program(function) if vectorize else None
 
 
 @functools.cache
@@ -304,15 +291,15 @@ def _version() -> str:
 
 
 def _block(
-    function: Callable[..., Any], plan: _Plan, vectorize: bool, region: tuple[slice, ...]
+    function: Callable[..., Any], plan: _Plan, program: Callable[..., Any] | None, region: tuple[slice, ...]
 ) -> dict[str, np.ndarray]:
     """Results (cells, ...) of a block."""
     numbers, others = plan.cells(region)
     count = len(next(iter(numbers.values()), [None]))
-    if vectorize and numbers:
+    if program is not None and numbers:
         rows = np.minimum(np.arange(math.prod(plan.block)), count - 1)  # padded with the last cell
         try:
-            found = _program(function)({name: values[rows] for name, values in numbers.items()}, others)
+            found = program({name: values[rows] for name, values in numbers.items()}, others)
             return {name: np.asarray(value)[:count] for name, value in found.items()}
         except Exception as error:
             where = ", ".join(f"{name}={_shown(value)}" for name, value in others.items())
@@ -321,7 +308,8 @@ def _block(
     for k in range(count):
         cell = {name: values[k].item() for name, values in numbers.items()} | others
         try:
-            each.append({name: np.asarray(value) for name, value in _named(function, function(**cell)).items()})
+            found = _named(function, function(**cell))
+            each.append({name: _array(value) for name, value in sorted(found.items())})
         except Exception as error:
             where = ", ".join(f"{name}={_shown(cell[name])}" for name in plan.names)
             raise _told(error, f"the cell {where}") from error
@@ -329,6 +317,11 @@ def _block(
     if len(shapes) > 1:
         raise ValueError(f"results must have the same names and shapes in all cells; got {sorted(shapes)}.")
     return {name: np.stack([one[name] for one in each]) for name in each[0]}
+
+
+def _array(value: Any) -> np.ndarray:
+    """A result as an array; of Python's numbers always the same type."""
+    return np.asarray(value, np.float64 if type(value) in (int, float) else None)
 
 
 def _told(error: Exception, where: str) -> RuntimeError:
@@ -348,7 +341,6 @@ def _named(function: Callable[..., Any], found: Any) -> dict[str, Any]:
     return {getattr(function, "__name__", "result"): found}
 
 
-@functools.lru_cache(maxsize=64)
 def _program(function: Callable[..., Any]) -> Callable[..., Any]:
     @eqx.filter_jit
     def of_block(numbers: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
+import enum
+import functools
 import hashlib
 import json
 import os
 import pathlib
 import pickle
-import re
+import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+import types
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 if TYPE_CHECKING:
@@ -40,6 +43,7 @@ class Results:
 
     def put(self, region: Region, found: Mapping[str, np.ndarray]) -> None:
         """Fill a block with results (cells, ...); raises `ValueError` for other names or shapes than before."""
+        is_first = not self.arrays
         kinds = {name: values.shape[1:] for name, values in found.items()}
         before = {name: array.shape[len(self.shape) :] for name, array in self.arrays.items()}
         if self.arrays and kinds != before:
@@ -49,7 +53,6 @@ class Results:
             if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool):
                 raise ValueError(f"results must be numbers or flags; {name} is {values.dtype}.")
             if name not in self.arrays:
-                self._check(name, values.shape[1:])
                 self.arrays[name] = _blank((*self.shape, *values.shape[1:]), values.dtype)
             if not np.can_cast(values.dtype, self.arrays[name].dtype):
                 raise ValueError(
@@ -57,6 +60,8 @@ class Results:
                     f"{values.dtype} in others. Convert it with float(...)."
                 )
             self.arrays[name][region] = values.reshape(*block, *values.shape[1:])
+        if is_first:
+            self.check()
 
     def dims_of(self, name: str) -> tuple[str, ...]:
         """Names of the dimensions of a result."""
@@ -77,16 +82,28 @@ class Results:
 
     def open(self, path: pathlib.Path) -> xarray.Dataset:
         """A dataset of an earlier run."""
-        return self._xarray.open_zarr(path)
+        return self._xarray.open_zarr(path, decode_cf=False)
 
-    def _check(self, name: str, shape: tuple[int, ...]) -> None:
-        if name in (*self.names, FINISHED):
-            raise ValueError(f"the result {name} has the name of an axis or of a flag; name it otherwise.")
-        if len(self._dims.get(name, shape)) != len(shape):
-            raise ValueError(
-                f"dims names {len(self._dims[name])} dimensions of {name} ({', '.join(self._dims[name])}), but its "
-                f"shape in a cell is {shape}."
-            )
+    def check(self) -> None:
+        """Raise `ValueError` for results whose names or dimensions contradict the axes or each other."""
+        sizes = dict(zip(self.names, self.shape, strict=True))
+        for name, array in self.arrays.items():
+            shape, dims = array.shape[len(self.names) :], self.dims_of(name)[len(self.names) :]
+            if name in (*self.names, FINISHED) or "/" in name:
+                raise ValueError(
+                    f"the result {name} has the name of an axis or of a flag, or a slash; name it otherwise."
+                )
+            if len(dims) != len(shape):
+                raise ValueError(
+                    f"dims names {len(dims)} dimensions of {name} ({', '.join(dims)}), but its shape in a cell is "
+                    f"{shape}."
+                )
+            for dim, size in zip(dims, shape, strict=True):
+                if dim in self.names or dim in self.arrays or sizes.setdefault(dim, size) != size:
+                    raise ValueError(
+                        f"the dimension {dim} of {name}, of {size}, has the name of an axis, of a result, or of a "
+                        f"dimension of another size; name it otherwise by dims=."
+                    )
 
 
 def _blank(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
@@ -99,14 +116,14 @@ class Store:
     Blocks are written first and flagged then, so that a process may end at any time.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], identity: Mapping[str, str]) -> None:
-        self._path, self._identity = pathlib.Path(folder), dict(identity)
+    def __init__(self, folder: str | os.PathLike[str], identity: Mapping[str, str], block: Sequence[int]) -> None:
+        self._path, self._identity, self._block = pathlib.Path(folder), dict(identity), tuple(block)
         _require_zarr()
 
     def read_into(self, results: Results, regions: Sequence[Region]) -> set[int]:
         """Numbers of the finished blocks, whose results are read; raises `ValueError` if the folder holds something
         else."""
-        if not self._path.exists():
+        if not self._exists():
             return set()
         try:
             with results.open(self._path) as kept:
@@ -122,13 +139,13 @@ class Store:
                 f"folder, or remove this one."
             )
         results.arrays = arrays
+        results.check()
         return {number for number, region in enumerate(regions) if finished[region].all()}
 
     def write(self, region: Region, results: Results) -> None:
         """Write a block, then note that it is finished."""
         dataset, place = results.dataset(), dict(zip(results.names, region, strict=True))
-        if not self._path.exists():
-            self._create(region, results, dataset)
+        if not self._exists() and self._create(region, results, dataset):
             return
         part = dataset.isel(place).drop_vars(list(dataset.coords))
         part.to_zarr(self._path, region=place, consolidated=False, safe_chunks=False)
@@ -136,33 +153,106 @@ class Store:
         flags = part.drop_vars(list(part.data_vars)).assign({FINISHED: (results.names, np.ones(shape, bool))})
         flags.to_zarr(self._path, region=place, consolidated=False, safe_chunks=False)
 
-    def _create(self, region: Region, results: Results, dataset: xarray.Dataset) -> None:
-        """The store with its first block; whole or not at all."""
+    def _exists(self) -> bool:
+        """Whether there is anything in the place of the store."""
+        return self._path.exists() and not (self._path.is_dir() and not any(self._path.iterdir()))
+
+    def _create(self, region: Region, results: Results, dataset: xarray.Dataset) -> bool:
+        """The store with its first block, whole or not at all; false if another process was faster."""
         finished = np.zeros(results.shape, bool)
         finished[region] = True
         dataset = dataset.assign({FINISHED: (results.names, finished)})
         dataset.attrs[STUDY] = json.dumps(self._identity)
-        chunks = [place.stop - place.start for place in region]
-        encoding = {name: {"chunks": (*chunks, *x.shape[len(chunks) :])} for name, x in dataset.data_vars.items()}
+        own = len(self._block)
+        encoding = {name: {"chunks": (*self._block, *x.shape[own:])} for name, x in dataset.data_vars.items()}
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=self._path.parent, prefix=f".{self._path.name}-") as folder:
             dataset.to_zarr(pathlib.Path(folder) / "new", encoding=encoding, consolidated=True, zarr_format=2)
-            (pathlib.Path(folder) / "new").rename(self._path)
+            try:
+                os.rename(pathlib.Path(folder) / "new", self._path)  # also onto an empty folder
+            except OSError:
+                if not self._exists():
+                    raise
+                return False
+        return True
+
+
+INSTALLED = ("jaxgeo", "jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix", "lineax", "xarray")
 
 
 def digest_of(value: Any) -> str:
-    """Short digest of numbers, texts and records by value."""
-    leaves, structure = jax.tree.flatten(value)
-    sha = hashlib.sha256(re.sub(r" at 0x[0-9a-f]+", "", str(structure)).encode())
-    for leaf in leaves:
-        if isinstance(leaf, np.ndarray | np.generic | jax.Array | int | float | complex):
-            array = np.asarray(leaf)
-            sha.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-            continue
-        with contextlib.suppress(Exception):  # what cannot be pickled counts by its name only
-            sha.update(pickle.dumps(leaf, protocol=5))
-        sha.update(str(getattr(leaf, "__qualname__", type(leaf).__qualname__)).encode())
+    """Digest of numbers, texts, records, and functions with all that they use; the same in every process.
+
+    Modules and what is installed count by their names. Raises `ValueError` for an object that has no value to compare.
+    """
+    sha = hashlib.sha256()
+    _feed(sha.update, value, {})
     return sha.hexdigest()[:16]
+
+
+def _feed(update: Callable[[bytes], object], value: Any, seen: dict[int, Any]) -> None:
+    told = lambda *words: update("\0".join(map(str, words)).encode() + b"\1")  # noqa: E731
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.dtype | range | slice):
+        told(type(value).__name__, repr(value))
+    elif isinstance(value, np.ndarray | np.generic | jax.Array):
+        if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+            value = jax.random.key_data(value)
+        array = np.asarray(value)
+        told("array", array.dtype, array.shape, repr(array.tolist()) if array.dtype == object else "")
+        update(np.ascontiguousarray(array).tobytes() if array.dtype != object else b"")
+    elif isinstance(value, types.ModuleType):
+        told("module", value.__name__)
+    elif id(value) in seen:
+        told("again")
+    else:
+        seen[id(value)] = value  # held, so that its number stays its own
+        for part in _parts(value):
+            _feed(update, part, seen)
+        told("end")
+
+
+def _parts(value: Any) -> list[Any]:
+    """Simpler values that tell an object from others."""
+    if isinstance(value, Mapping):
+        return [type(value).__name__, *sorted(([repr(key), x] for key, x in value.items()), key=lambda pair: pair[0])]
+    if isinstance(value, set | frozenset):
+        return [type(value).__name__, *sorted(map(repr, value))]
+    if isinstance(value, list | tuple):
+        return [type(value).__name__, *value]
+    if isinstance(value, functools.partial):
+        return ["partial", value.func, value.args, value.keywords]
+    if isinstance(value, types.MethodType):
+        return ["method", value.__func__, value.__self__]
+    if isinstance(value, types.CodeType):
+        return [value.co_name, value.co_code, value.co_consts, value.co_names]
+    name = f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}"
+    top = name.partition(".")[0]
+    is_installed = top in INSTALLED or top in sys.stdlib_module_names
+    if isinstance(value, types.FunctionType) and not is_installed:
+        used = {used: value.__globals__[used] for used in _names(value.__code__) if used in value.__globals__}
+        cells = [cell.cell_contents for cell in value.__closure__ or ()]
+        return [value.__code__, value.__defaults__, value.__kwdefaults__, used, cells]
+    if isinstance(value, type):
+        methods = {key: x for key, x in vars(value).items() if isinstance(x, types.FunctionType | classmethod)}
+        return [name, None if is_installed else {k: getattr(x, "__func__", x) for k, x in methods.items()}]
+    if hasattr(value, "__wrapped__"):  # a jitted function
+        return [value.__wrapped__]
+    if isinstance(value, types.FunctionType | types.BuiltinFunctionType) or hasattr(value, "__name__"):
+        return [name]
+    if isinstance(value, enum.Enum):
+        return [name, value.name]
+    if hasattr(value, "__dict__"):
+        return [type(value), vars(value)]
+    try:
+        return [name, pickle.dumps(value, protocol=5)]
+    except Exception:
+        raise ValueError(f"a {type(value).__name__} cannot be compared between runs; leave out folder=.") from None
+
+
+def _names(code: types.CodeType) -> set[str]:
+    """Names that a function and the functions within it use."""
+    inner = [const for const in code.co_consts if isinstance(const, types.CodeType)]
+    return set(code.co_names).union(*map(_names, inner))
 
 
 def _xarray() -> Any:

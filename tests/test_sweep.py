@@ -215,6 +215,7 @@ def other(height: Any, off_nadir: Any, ground: Any) -> Any:
         ({"axes": AXES | {"ground": GROUNDS._replace(values=[jaxgeo.ConstantHeight(0.0)] * 2)}}, "axis ground"),
         ({"version": "2"}, "version"),
         ({"block": 4}, "block"),
+        ({"axes": dict(reversed(AXES.items()))}, "order of the axes"),
         ({"function": other}, "function"),
     ],
 )
@@ -243,6 +244,39 @@ def by_closure(factor: Any) -> Any:
     return of_x
 
 
+def by_wrapper(factor: Any) -> Any:
+    def scaled(function: Any) -> Any:
+        @functools.wraps(function)
+        def call(**cell: Any) -> Any:
+            return {"y": factor * function(**cell)["y"]}
+
+        return call
+
+    return scaled(by_closure(1.0))
+
+
+class Scaled:
+    def __init__(self, factor: float) -> None:
+        self.factor, self.names = factor, [lambda: factor]
+
+    def __call__(self, x: Any) -> dict[str, Any]:
+        return {"y": self.factor * x}
+
+    def of(self, x: Any) -> dict[str, Any]:
+        return self(x)
+
+
+def of_two_lambdas(factor: float) -> Any:
+    return {2.0: lambda x: {"y": 2 * x}, 3.0: lambda x: {"y": 3 * x}}[factor]
+
+
+def by_inner(factor: float) -> Any:
+    def of_x(x: Any) -> dict[str, Any]:
+        return {"y": (lambda x: factor * x)(x)}
+
+    return of_x
+
+
 def by_partial(factor: Any) -> Any:
     return functools.partial(lambda x, factor: {"y": factor * x}, factor=factor)
 
@@ -253,7 +287,14 @@ def by_default(factor: float) -> Any:
     return function
 
 
-@pytest.mark.parametrize("make", [by_closure, by_partial, by_default, lambda x: jax.jit(by_closure(np.full(3, x)))])
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(by_closure, by_partial, by_default, by_wrapper, Scaled, of_two_lambdas, by_inner),
+        lambda x: jax.jit(by_closure(np.full(3, x))),
+        lambda x: Scaled(x).of,
+    ],
+)
 def test_values_that_a_function_uses_are_part_of_the_study(make: Any, tmp_path: pathlib.Path) -> None:
     axes = {"x": [1.0, 2.0]}
     found = sweep(make(2.0), axes, folder=tmp_path / "study")
@@ -268,8 +309,16 @@ def test_globals_are_part_of_the_study_and_of_the_functions_beside_it(
     sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
     sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
     monkeypatch.setattr(sys.modules[__name__], "FACTOR", 3.0)
+    assert sweep(by_global, {"x": [1.0, 2.0]})["y"].to_numpy().tolist() == [3.0, 6.0]
     with pytest.raises(ValueError, match="holds another sweep, with other values of: function"):
         sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
+
+
+def test_an_empty_folder_is_used_and_times_are_numbers(tmp_path: pathlib.Path) -> None:
+    axes, units = {"x": Axis([1.0, 2.0, 3.0], "days since 2000-01-01")}, {"y": "days since 2000-01-01"}
+    found = [sweep(by_closure(2.0), axes, units=units, block=2, folder=tmp_path) for _ in range(2)]
+    assert found[1].identical(found[0])
+    assert found[1]["y"].to_numpy().tolist() == [3.0, 5.0, 7.0]
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: pathlib.Path) -> None:
@@ -301,7 +350,22 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: pathlib.Path) -> Non
         (lambda a: {"b": "text"}, {"a": [1.0]}, {"vectorize": False}, "must be numbers or flags; b is"),
         (lambda a: {"b": np.ones(a)}, {"a": [1, 2]}, {"vectorize": False}, "same names and shapes in all cells"),
         (lambda a: {"b": np.ones(a)}, {"a": [1, 2]}, {"vectorize": False, "block": 1}, "same names and shapes"),
-        (lambda a: {"b": a if a == 1 else 0.5}, {"a": [1, 2]}, {"vectorize": False, "block": 1}, "of one type"),
+        (
+            lambda a: {"b": np.int64(a) if a == 1 else np.float64(0.5)},
+            {"a": [1, 2]},
+            {"vectorize": False, "block": 1},
+            "of one type",
+        ),
+        (lambda a: {"b/c": a}, {"a": [1.0]}, {}, "or a slash"),
+        (lambda b_0: {"b": b_0 * jnp.ones(2)}, {"b_0": [1.0, 2.0]}, {}, "the dimension b_0 of b, of 2, has the name"),
+        (
+            lambda a: {"b": jnp.ones(2), "c": jnp.ones(3)},
+            {"a": [1.0]},
+            {"dims": {"b": ["k"], "c": ["k"]}},
+            "dimension of another size",
+        ),
+        (looked, AXES | {"height": {1.0, 2.0}}, {}, "axis height: give a sequence"),
+        (lambda a: a, {"a": [2**70, 1]}, {}, "beyond 64 bits"),
     ],
 )
 def test_mistakes_are_told(function: Any, axes: Any, options: Any, words: str) -> None:
