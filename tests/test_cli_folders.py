@@ -422,6 +422,28 @@ def test_parts_of_a_folder_are_the_whole(flight: pathlib.Path, count: int) -> No
         np.testing.assert_allclose(numbers, expected, rtol=1e-12)
 
 
+def test_names_of_parts_are_those_of_the_whole(flight: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    """Of images, and of files that cannot be read, whose names are twice."""
+    for name in ("a.jpg", "c.jpg"):
+        shutil.copy(flight / name, tmp_path / name)
+    whole = read_observations([flight, tmp_path], height_datum="ellipsoid")
+    parts = [read_observations([flight, tmp_path], height_datum="ellipsoid", shard=(k, 3)) for k in (1, 2, 3)]
+    names = [row["name"] for part in parts for row in part.columns]
+    assert names == [row["name"] for row in whole.columns]
+    assert len(set(names)) == 7
+    with pytest.raises(TableError, match=r"exposures= of several files and shard= do not go together"):
+        read_observations([flight], height_datum="ellipsoid", shard=(1, 2), exposures=["a.jpg"])
+
+
+def test_pixels_of_a_scene_in_parts(tmp_path: pathlib.Path) -> None:
+    from jaxgeo.demo import scene_file
+
+    pixels = ["--pixel", "10,20", "--pixel", "-9,20", "--pixel", "11,20"]
+    place = ["--scene", str(scene_file()), "--ground", "450", *pixels]
+    whole = run("locate", *place, "--format", "csv", "--no-accuracy").stdout.splitlines()[1:]
+    assert in_shards(3, *place[2:], "--scene", str(scene_file())) == whole
+
+
 def test_parts_of_one_file_are_of_its_rows(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "flight.klv"
     path.write_bytes(b"".join(local_set(usual(tag_13=36.318 + 0.001 * k)) for k in range(7)))

@@ -141,9 +141,10 @@ def _print_pixels_outside(texts: Sequence[str], observed: jaxgeo.io.Observations
     """Print typed pixels outside the image on stderr, before computing; they keep their rows."""
     outside: dict[str, None] = {}
     for batch in observed.batches:
-        camera, is_on_image = batch.camera, batch.is_on_image
-        for text, is_inside in zip(texts, is_on_image[: len(texts)], strict=True):
-            if not is_inside:
+        camera = batch.camera
+        for text in texts:
+            u, v = (float(number) for number in text.split(","))
+            if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
                 outside[
                     f"--pixel {text}: outside the image of {camera.width} x {camera.height} pixels; columns go from 0 "
                     f"to {camera.width - 1}, rows from 0 to {camera.height - 1}."

@@ -176,7 +176,8 @@ class LocateOptions:
     def check(self) -> None:
         """Raises `UserError` for options that contradict each other."""
         given, ground = self.of_images, self.ground
-        _ = given.part  # raises
+        if given.part is not None and given.exposures and len(self.files) > 1:
+            raise UserError("--exposure of several FILEs and --shard do not go together; name the files instead.")
         if not self.files and given.scene is None:
             raise UserError("give a FILE that jaxgeo inspect reads, or --scene SCENE.toml.")
         if len(self.files) > 1:

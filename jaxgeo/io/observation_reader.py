@@ -94,6 +94,8 @@ def read_observations(
     if by_scene and how.get("camera") is not None:
         raise TableError(f'scene="{scene}" and camera="{how["camera"]}": both give a camera; leave one out.')
     is_one = shard is not None and len(files_of(files)[0]) == 1
+    if shard is not None and not is_one and exposures:
+        raise TableError("exposures= of several files and shard= do not go together; name the files instead.")
     how = how | {"camera": scene} if by_scene else how
     found = read_files(files, shard=None if is_one else shard, progress=progress, **how)
     scene_file = None if scene is None else pathlib.Path(scene)
@@ -267,7 +269,8 @@ def _named(files: Sequence[pathlib.Path]) -> str:
 def _name(unread: Unread, found: AcquisitionSet) -> str:
     """Row name of an unread file: its name, or its path if the name is not unique."""
     names = [str(name) for part in found.parts for name in part.names] + [one.name for one in found.unread]
-    return unread.name if names.count(unread.name) == 1 else unread.path
+    is_unique = names.count(unread.name) == 1 and unread.name not in found.elsewhere
+    return unread.name if is_unique else unread.path
 
 
 def _columns(name: str, time: float, u: float | None, v: float | None, has_times: bool) -> Row:

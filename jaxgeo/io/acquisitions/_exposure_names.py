@@ -6,25 +6,25 @@ import dataclasses
 import os
 import pathlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from jaxgeo.io.acquisitions.record import Acquisition
 
 
-def with_file_names(found: Sequence[Acquisition]) -> list[Acquisition]:
+def with_file_names(found: Sequence[Acquisition], elsewhere: Collection[str] = ()) -> list[Acquisition]:
     """Acquisitions of several files with exposure names that identify the file.
 
     Records that have only a number, such as telemetry packets, are named FILE/NUMBER by the name of their file,
     regardless of the other files. Others, such as images, keep their names. Files that share a name
-    are named by their path instead.
+    are named by their path instead; `elsewhere` are names of files that are not here.
     """
     named = [dataclasses.replace(one, names=_with_file(one, os.path.basename(one.path))) for one in found]
     files_with = Counter(name for one in named for name in set(one.names.tolist()))
     return [
         dataclasses.replace(new, names=_by_path(old))
-        if any(files_with[name] > 1 for name in new.names.tolist())
+        if any(files_with[name] > 1 for name in new.names.tolist()) or os.path.basename(old.path) in elsewhere
         else new
         for old, new in zip(found, named, strict=True)
     ]

@@ -49,12 +49,14 @@ class AcquisitionSet:
     - `places`: for each part an array (n,): the indices of its exposures among all, in the order of the files.
     - `unread`: files that could not be read; each has an index of its own.
     - `assumed`: sentences as in `Acquisition`, each once, with the number of files it applies to if not all.
+    - `elsewhere`: names of files in other parts, if these are those of one part.
     """
 
     parts: tuple[Acquisition, ...]
     places: tuple[np.ndarray, ...]
     unread: tuple[Unread, ...] = ()
     assumed: tuple[str, ...] = ()
+    elsewhere: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         """Number of exposures and of files that could not be read."""
@@ -122,10 +124,11 @@ def read_acquisitions(
         datum = how.get("height_datum") or "ellipsoid"
         check_one_flight(images, read_positions(how["positions"], height_datum=datum, crs=how.get("crs")))
     notes = merged_sentences([one.assumed for one in found], "file")
-    found = with_file_names(found) if len(every) > 1 else found
+    elsewhere = frozenset(os.path.basename(file) for file in set(every) - set(files))
+    found = with_file_names(found, elsewhere) if len(every) > 1 else found
     places = [start + np.arange(len(one)) for start, one in zip(starts, found, strict=True)]
     parts, where = merged(found, places)
-    return AcquisitionSet(parts, where, tuple(unread), (*notes, *left_out))
+    return AcquisitionSet(parts, where, tuple(unread), (*notes, *left_out), elsewhere)
 
 
 def shard_of(total: int, shard: tuple[int, int], what: str) -> range:
