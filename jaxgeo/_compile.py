@@ -6,8 +6,9 @@ import functools
 import gc
 import os
 import threading
+import weakref
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax
@@ -126,9 +127,16 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
 class Batches:
     """Calls of a function under a `vmap` that is not part of a larger program, on CPUs."""
 
+    known: ClassVar[weakref.WeakSet[Batches]] = weakref.WeakSet()
+
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._programs: dict[Any, Any] = {}
+        self.known.add(self)
+
+    def clear(self) -> None:
+        """Drop the compiled programs, which `jax.clear_caches` does not know."""
+        self._programs.clear()
 
         @functools.wraps(function)
         def mapped(axes: str, inputs: Any) -> Any:

@@ -41,7 +41,9 @@ if platform.machine() in ("x86_64", "AMD64"):
 
 
 # Bytes of a process, of which there may be many. A compiled program, be it one addition, takes one to two megabytes.
-MUCH_RESIDENT, MOST_RESIDENT = 1_400_000_000, 1_700_000_000  # from which on programs go after a file, after a test
+# From the first on programs are dropped after a file of tests; from the second on after any test, if there are many.
+MUCH_RESIDENT, MORE_RESIDENT, MOST_RESIDENT = 1_400_000_000, 1_700_000_000, 1_850_000_000
+MANY_PROGRAMS = 500_000_000  # bytes
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -88,29 +90,40 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         )
 
 
+@pytest.fixture(scope="session")
+def left_resident() -> list[int]:
+    """Bytes of the process when programs were dropped last."""
+    return [0]
+
+
 @pytest.fixture(scope="module", autouse=True)
-def memory_within_bounds() -> Iterator[None]:
+def memory_within_bounds(left_resident: list[int]) -> Iterator[None]:
     """Compiled programs are dropped after a file of tests that leaves the process large; few are called again."""
     yield
-    if _resident() > MUCH_RESIDENT:
-        _drop_programs()
+    if _resident() > max(MUCH_RESIDENT, min(left_resident[0] + MANY_PROGRAMS // 2, MORE_RESIDENT)):
+        left_resident[0] = _drop_programs()
 
 
 @pytest.fixture(autouse=True)
-def memory_within_limits() -> Iterator[None]:
+def memory_within_limits(left_resident: list[int]) -> Iterator[None]:
     """Compiled programs are dropped after any test that leaves the process very large."""
     yield
-    if _resident() > MOST_RESIDENT:
-        _drop_programs()
+    if _resident() > max(MORE_RESIDENT, min(left_resident[0] + MANY_PROGRAMS, MOST_RESIDENT)):
+        left_resident[0] = _drop_programs()
 
 
-def _drop_programs() -> None:
+def _drop_programs() -> int:
+    """Bytes of the process without compiled programs."""
     jax.clear_caches()
+    if "jaxgeo._compile" in sys.modules:
+        for batches in sys.modules["jaxgeo._compile"].Batches.known:
+            batches.clear()
     gc.collect()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc keeps what is freed; other libraries do not
         if trim is not None:
             trim(0)
+    return _resident()
 
 
 def _resident() -> int:
