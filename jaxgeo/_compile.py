@@ -134,10 +134,6 @@ class Batches:
         self._programs: dict[Any, Any] = {}
         self.known.add(self)
 
-    def clear(self) -> None:
-        """Drop the compiled programs, which `jax.clear_caches` does not know."""
-        self._programs.clear()
-
         @functools.wraps(function)
         def mapped(axes: str, inputs: Any) -> Any:
             """The function of a block; `axes` has a 0 for each argument with rows, in the order of the leaves."""
@@ -150,6 +146,10 @@ class Batches:
             return jax.vmap(of_leaves, in_axes=([0 if axis == "0" else None for axis in axes],))(leaves)
 
         self._mapped, self._kept = mapped, Programs(mapped, batch_options, lambda leaf: not isinstance(leaf, str))
+
+    def clear(self) -> None:
+        """Drop the compiled programs, which `jax.clear_caches` does not know."""
+        self._programs.clear()
 
     def of(self, inputs: tuple[tuple[Any, ...], dict[str, Any]]) -> Callable[[], Any] | None:
         """The call for inputs (arguments and options) that a `vmap` called directly traces, else None."""
