@@ -121,7 +121,7 @@ class Programs:
         try:
             pickler = _Describing(file)
             pickler.fast = True  # by value: the same for equal arguments, however they share their parts
-            pickler.dump((_described(function), described, sorted(self._options_of().items()), _settings()))
+            pickler.dump((_described(function), described, sorted(self._options_of().items()), str(_settings())))
         except (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError):
             return None
         return f"program-{hashlib.sha256(_environment().encode() + file.getvalue()).hexdigest()}"
@@ -153,7 +153,7 @@ class _Kind(NamedTuple):
 
     @classmethod
     def of(cls, array: Any) -> _Kind:
-        array = jax.typeof(array)
+        array = array.aval if isinstance(array, jax.Array) else jax.typeof(array)
         return cls(tuple(array.shape), str(array.dtype), bool(array.weak_type))
 
 
@@ -187,7 +187,7 @@ def _is_on_first_device(array: Any) -> bool:
 
 def _settings() -> tuple[Any, ...]:
     """Settings of JAX that a program depends on and that may hold for a part of a process only."""
-    return tuple(str(getattr(jax.config, name)) for name in SETTINGS)
+    return tuple(getattr(jax.config, name) for name in SETTINGS)
 
 
 def _environment() -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import concurrent.futures
-import contextlib
 import functools
 import importlib.metadata
 import inspect
@@ -18,7 +17,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxgeo._sweep_store import Results, Store, digest_of
+from jaxgeo._digest import digest_of
+from jaxgeo._sweep_store import Results, Store
 
 if TYPE_CHECKING:
     import xarray
@@ -97,25 +97,26 @@ def sweep(
     `dask.distributed.Client`. The result does not depend on it. With a `folder` (a Zarr store) blocks are written as
     they are done, and a later call with the same function, axes, block size and `version` computes only what is
     missing. The function counts with its text, and the values and functions of its module that it uses; give another
-    `version` if something else changes, such as a file that it reads. `progress`
-    shows a progress bar.
+    `version` if something else changes, such as a file that it reads. `progress` shows a progress bar.
 
     Raises `ValueError` for an axis without values, an argument without an axis, results of other names or shapes in
-    some cells, and a folder that holds something else; `RuntimeError` with the cell in its message if `function` raises
+    some cells, and a folder that holds something else; `TypeError`, with a `folder`, for a function or an axis value
+    that cannot be compared with that of another run; `RuntimeError` with the cell in its message if `function` raises
     (finished blocks are kept); `ImportError` without xarray, or for a `folder` without zarr.
 
+    >>> import jax.numpy as jnp
     >>> def distance(height, off_nadir):
     ...     return {"range": height / jnp.cos(jnp.deg2rad(off_nadir))}
     >>> axes = {"height": jaxgeo.Axis([1000.0, 2000.0], "m"), "off_nadir": jaxgeo.Axis([0.0, 60.0], "deg")}
-    >>> found = jaxgeo.sweep(distance, axes, units={"range": "m"})  # doctest: +SKIP
-    >>> print(found["range"].sel(height=2000.0, off_nadir=60.0).item())  # doctest: +SKIP
-    4000.0
+    >>> found = jaxgeo.sweep(distance, axes, units={"range": "m"})
+    >>> print(f"{found['range'].sel(height=2000.0, off_nadir=60.0).item():.1f} m")
+    4000.0 m
     """
     if not callable(function):
         raise TypeError(f"function must be callable with the axes as keywords; got {type(function).__name__}.")
     if isinstance(block, bool) or not isinstance(block, int | np.integer) or block < 1:
         raise ValueError(f"block must be an integer of at least 1, the number of cells of a task; got {block!r}.")
-    plan = _plan(axes, int(block), vectorize)
+    plan = _plan(axes, int(block))
     _check_arguments(function, plan)
     regions = list(plan.regions())
     named_dims = {name: tuple(names) for name, names in (dims or {}).items()}
@@ -124,14 +125,19 @@ def sweep(
     done = set() if store is None else store.read_into(results, regions)
     task = _task(function, plan, vectorize, executor)
     missing = [number for number in range(len(regions)) if number not in done]
-    for number, found in _computed(task, regions, missing, executor, progress):
+    computed = _computed(task, regions, missing, executor)
+    if progress:
+        from rich.progress import track  # optional, imported only if used
+
+        computed = track(computed, total=len(missing), description="sweep")
+    for number, found in computed:
         results.put(regions[number], found)
         if store is not None:
             store.write(regions[number], results)
     return results.dataset()
 
 
-def _plan(axes: Mapping[str, Any], most: int, vectorize: bool) -> _Plan:
+def _plan(axes: Mapping[str, Any], most: int) -> _Plan:
     """The axes, and the largest blocks of at most `most` cells: the last axes whole, as far as they fit."""
     if not axes:
         raise ValueError("axes is empty: give the values of each argument of the function.")
@@ -211,49 +217,30 @@ def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, versio
 
 
 def _computed(
-    task: Callable[..., Any],
-    regions: list[tuple[slice, ...]],
-    numbers: list[int],
-    executor: Any,
-    progress: bool,
+    task: Callable[..., Any], regions: list[tuple[slice, ...]], numbers: list[int], executor: Any
 ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """(number, results) of blocks as they are done."""
-    with _bar(len(numbers), progress) as advance:
-        if executor is None:
-            for number in numbers:
-                yield number, task(regions[number])
-                advance()
-            return
-        submit = executor.get_executor(pure=False).submit if hasattr(executor, "get_executor") else executor.submit
-        waiting: dict[concurrent.futures.Future[Any], int] = {}
-        left = iter(numbers)
-        try:
-            while True:
-                for number in itertools.islice(left, AHEAD - len(waiting)):
-                    waiting[submit(task, regions[number])] = number
-                if not waiting:
-                    return
-                done, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
-                for future in done:
-                    yield waiting.pop(future), future.result()
-                    advance()
-        except concurrent.futures.BrokenExecutor as error:
-            raise RuntimeError(f"a worker ended ({error}); blocks in folder= are kept, call again.") from error
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
-@contextlib.contextmanager
-def _bar(total: int, progress: bool) -> Iterator[Callable[[], None]]:
-    if not progress:
-        yield lambda: None
+    if executor is None:
+        for number in numbers:
+            yield number, task(regions[number])
         return
-    from rich.progress import Progress  # optional, imported only if used
-
-    with Progress() as bar:
-        task = bar.add_task("sweep", total=total)
-        yield lambda: bar.advance(task)
+    submit = executor.get_executor(pure=False).submit if hasattr(executor, "get_executor") else executor.submit
+    waiting: dict[concurrent.futures.Future[Any], int] = {}
+    left = iter(numbers)
+    try:
+        while True:
+            for number in itertools.islice(left, AHEAD - len(waiting)):
+                waiting[submit(task, regions[number])] = number
+            if not waiting:
+                return
+            done, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
+            for future in done:
+                yield waiting.pop(future), future.result()
+    except concurrent.futures.BrokenExecutor as error:
+        raise RuntimeError(f"a worker ended ({error}); blocks in folder= are kept, call again.") from error
+    finally:
+        for future in waiting:
+            future.cancel()
 
 
 def _task(function: Callable[..., Any], plan: _Plan, vectorize: bool, executor: Any) -> Callable[..., Any]:

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import enum
-import functools
-import hashlib
 import json
 import os
 import pathlib
-import pickle
-import sys
 import tempfile
-import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 if TYPE_CHECKING:
@@ -175,84 +167,6 @@ class Store:
                     raise
                 return False
         return True
-
-
-INSTALLED = ("jaxgeo", "jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix", "lineax", "xarray")
-
-
-def digest_of(value: Any) -> str:
-    """Digest of numbers, texts, records, and functions with all that they use; the same in every process.
-
-    Modules and what is installed count by their names. Raises `ValueError` for an object that has no value to compare.
-    """
-    sha = hashlib.sha256()
-    _feed(sha.update, value, {})
-    return sha.hexdigest()[:16]
-
-
-def _feed(update: Callable[[bytes], object], value: Any, seen: dict[int, Any]) -> None:
-    told = lambda *words: update("\0".join(map(str, words)).encode() + b"\1")  # noqa: E731
-    if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.dtype | range | slice):
-        told(type(value).__name__, repr(value))
-    elif isinstance(value, np.ndarray | np.generic | jax.Array):
-        if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-            value = jax.random.key_data(value)
-        array = np.asarray(value)
-        told("array", array.dtype, array.shape, repr(array.tolist()) if array.dtype == object else "")
-        update(np.ascontiguousarray(array).tobytes() if array.dtype != object else b"")
-    elif isinstance(value, types.ModuleType):
-        told("module", value.__name__)
-    elif id(value) in seen:
-        told("again")
-    else:
-        seen[id(value)] = value  # held, so that its number stays its own
-        for part in _parts(value):
-            _feed(update, part, seen)
-        told("end")
-
-
-def _parts(value: Any) -> list[Any]:
-    """Simpler values that tell an object from others."""
-    if isinstance(value, Mapping):
-        return [type(value).__name__, *sorted(([repr(key), x] for key, x in value.items()), key=lambda pair: pair[0])]
-    if isinstance(value, set | frozenset):
-        return [type(value).__name__, *sorted(map(repr, value))]
-    if isinstance(value, list | tuple):
-        return [type(value).__name__, *value]
-    if isinstance(value, functools.partial):
-        return ["partial", value.func, value.args, value.keywords]
-    if isinstance(value, types.MethodType):
-        return ["method", value.__func__, value.__self__]
-    if isinstance(value, types.CodeType):
-        return [value.co_name, value.co_code, value.co_consts, value.co_names]
-    name = f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}"
-    top = name.partition(".")[0]
-    is_installed = top in INSTALLED or top in sys.stdlib_module_names
-    if isinstance(value, types.FunctionType) and not is_installed:
-        used = {used: value.__globals__[used] for used in _names(value.__code__) if used in value.__globals__}
-        cells = [cell.cell_contents for cell in value.__closure__ or ()]
-        return [value.__code__, value.__defaults__, value.__kwdefaults__, used, cells]
-    if isinstance(value, type):
-        methods = {key: x for key, x in vars(value).items() if isinstance(x, types.FunctionType | classmethod)}
-        return [name, None if is_installed else {k: getattr(x, "__func__", x) for k, x in methods.items()}]
-    if hasattr(value, "__wrapped__"):  # a jitted function
-        return [value.__wrapped__]
-    if isinstance(value, types.FunctionType | types.BuiltinFunctionType) or hasattr(value, "__name__"):
-        return [name]
-    if isinstance(value, enum.Enum):
-        return [name, value.name]
-    if hasattr(value, "__dict__"):
-        return [type(value), vars(value)]
-    try:
-        return [name, pickle.dumps(value, protocol=5)]
-    except Exception:
-        raise ValueError(f"a {type(value).__name__} cannot be compared between runs; leave out folder=.") from None
-
-
-def _names(code: types.CodeType) -> set[str]:
-    """Names that a function and the functions within it use."""
-    inner = [const for const in code.co_consts if isinstance(const, types.CodeType)]
-    return set(code.co_names).union(*map(_names, inner))
 
 
 def _xarray() -> Any:

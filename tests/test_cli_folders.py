@@ -463,7 +463,7 @@ def test_parts_of_one_file_are_of_its_rows(tmp_path: pathlib.Path) -> None:
         ("4/3", "--shard 4/3: give I/N"),
         ("2", "--shard 2: give I/N"),
         ("a/b", "--shard a/b: give I/N"),
-        ("1/6", "shard 1/6: there are only 5 files; use 5 shards or fewer."),
+        ("1/6", "shard 1/6: more parts than files (5); use at most 5."),
     ],
 )
 def test_parts_that_there_are_not(flight: pathlib.Path, shard: str, words: str) -> None:

@@ -10,6 +10,7 @@ import pathlib
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from typing import Any
@@ -312,6 +313,18 @@ def test_globals_are_part_of_the_study_and_of_the_functions_beside_it(
     assert sweep(by_global, {"x": [1.0, 2.0]})["y"].to_numpy().tolist() == [3.0, 6.0]
     with pytest.raises(ValueError, match="holds another sweep, with other values of: function"):
         sweep(by_global, {"x": [1.0, 2.0]}, folder=tmp_path / "study")
+
+
+def test_a_study_run_as_a_script_goes_on_when_imported(tmp_path: pathlib.Path) -> None:
+    text = "FACTOR = 2.0\nclass C:\n    k = 1\nC0 = C()\ndef f(x):\n    return {'y': FACTOR * x + C0.k}\n"
+    found = []
+    for module in ("__main__", "study"):
+        scope: dict[str, Any] = {"__name__": module}
+        exec(text, scope)
+        found.append(sweep(scope["f"], {"x": [1.0, 2.0]}, folder=tmp_path / "study"))
+    assert found[0].identical(found[1])
+    with pytest.raises(TypeError, match=r"a _thread\.lock cannot be compared with that of another run"):
+        sweep(lambda x, lock: {"y": x}, {"x": [1.0], "lock": [threading.Lock()]}, folder=tmp_path / "other")
 
 
 def test_an_empty_folder_is_used_and_times_are_numbers(tmp_path: pathlib.Path) -> None:

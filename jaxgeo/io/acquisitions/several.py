@@ -137,7 +137,7 @@ def shard_of(total: int, shard: tuple[int, int], what: str) -> range:
     if not 1 <= number <= count:
         raise TableError(f"shard must be (number, count) with a number from 1 to the count; got {shard!r}.")
     if count > total:
-        raise TableError(f"shard {number}/{count}: there are only {total} {what}; use {total} shards or fewer.")
+        raise TableError(f"shard {number}/{count}: more parts than {what} ({total}); use at most {total}.")
     return range((number - 1) * total // count, number * total // count)
 
 
