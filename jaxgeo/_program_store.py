@@ -17,12 +17,17 @@ import tempfile
 import types
 import uuid
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 # Packages whose classes and functions may be part of a program's key: their versions are part of it as well.
 KNOWN_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "lineax", "jaxtyping")
@@ -89,9 +94,13 @@ class Programs:
 
     def _found(self, path: pathlib.Path, structure: Any, kinds: list[Any], arrays: list[Any]) -> Program:
         program = _read(path)
-        if program is None:
-            program = self._compiled(structure, kinds, arrays)
-            _write(path, program)
+        if program is not None:
+            return program
+        with _alone(path):
+            program = _read(path)  # another process may have compiled it meanwhile
+            if program is None:
+                program = self._compiled(structure, kinds, arrays)
+                _write(path, program)
         return program
 
     def _compiled(self, structure: Any, kinds: list[Any], arrays: list[Any]) -> Program:
@@ -235,6 +244,27 @@ def _read(path: pathlib.Path) -> Program | None:
 def _load_lapack() -> None:
     """Make LAPACK known to programs, which JAX does only when it lowers one that calls it."""
     jax.jit(jnp.linalg.cholesky).lower(np.eye(1))
+
+
+@contextlib.contextmanager
+def _alone(path: pathlib.Path) -> Iterator[None]:
+    """While in use, other processes of this machine wait before they compile the same program. The lock of a process
+    that ends, however it ends, is free; without locks, on other systems, each compiles."""
+    if fcntl is None:
+        yield
+        return
+    lock = path.with_suffix(".lock")
+    try:
+        file = lock.open("w")
+        fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError:  # a folder that may not be written, or a file system without locks
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)  # a process that waits for it looks for the program first
+        file.close()
 
 
 def _write(path: pathlib.Path, program: Program) -> None:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import concurrent.futures
-import functools
-import importlib.metadata
 import inspect
 import itertools
 import math
 import os
-import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,13 +15,14 @@ import jax
 import numpy as np
 
 from jaxgeo._digest import digest_of
+from jaxgeo._parallel import Work
+from jaxgeo._parallel import version as version_of_package
 from jaxgeo._sweep_store import Results, Store
 
 if TYPE_CHECKING:
     import xarray
 
 BLOCK = 256  # cells of a task, and of the compiled program
-AHEAD = 64  # tasks submitted before the first of them is done
 
 
 class Axis(NamedTuple):
@@ -123,9 +121,9 @@ def sweep(
     results = Results(plan.names, plan.coordinates, dict(units or {}), named_dims)
     store = None if folder is None else Store(folder, _identity(function, plan, vectorize, version), plan.steps)
     done = set() if store is None else store.read_into(results, regions)
-    task = _task(function, plan, vectorize, executor)
+    work = Work(_block_task, function, plan, vectorize)
     missing = [number for number in range(len(regions)) if number not in done]
-    computed = _computed(task, regions, missing, executor)
+    computed = _computed(work, regions, missing, executor)
     if progress:
         from rich.progress import track  # optional, imported only if used
 
@@ -210,71 +208,27 @@ def _identity(function: Callable[..., Any], plan: _Plan, vectorize: bool, versio
         **{f"axis {name}": digest_of(plan.numeric.get(name, plan.others.get(name))) for name in plan.names},
         "block": str((plan.block, vectorize)),
         "version": version,
-        "jaxgeo": _version(),
+        "jaxgeo": version_of_package(),
         "jax": jax.__version__,
         "64-bit floats": str(jax.config.jax_enable_x64),  # pyright: ignore
     }
 
 
+def _block_task(function: Callable[..., Any], plan: _Plan, vectorize: bool) -> Callable[..., Any]:
+    """What evaluates a block, given its number and place."""
+    program = _program(function) if vectorize else None
+    return lambda numbered: _block(function, plan, program, numbered[1])
+
+
 def _computed(
-    task: Callable[..., Any], regions: list[tuple[slice, ...]], numbers: list[int], executor: Any
+    work: Work, regions: list[tuple[slice, ...]], numbers: list[int], executor: Any
 ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """(number, results) of blocks as they are done."""
-    if executor is None:
-        for number in numbers:
-            yield number, task(regions[number])
-        return
-    submit = executor.get_executor(pure=False).submit if hasattr(executor, "get_executor") else executor.submit
-    waiting: dict[concurrent.futures.Future[Any], int] = {}
-    left = iter(numbers)
     try:
-        while True:
-            for number in itertools.islice(left, AHEAD - len(waiting)):
-                waiting[submit(task, regions[number])] = number
-            if not waiting:
-                return
-            done, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
-            for future in done:
-                yield waiting.pop(future), future.result()
+        for (number, _), future in work.results([(number, regions[number]) for number in numbers], executor):
+            yield number, future.result()
     except concurrent.futures.BrokenExecutor as error:
         raise RuntimeError(f"a worker ended ({error}); blocks in folder= are kept, call again.") from error
-    finally:
-        for future in waiting:
-            future.cancel()
-
-
-def _task(function: Callable[..., Any], plan: _Plan, vectorize: bool, executor: Any) -> Callable[..., Any]:
-    """What evaluates a block, given its place; for other processes packed, with the versions and settings of this."""
-    if executor is None or isinstance(executor, concurrent.futures.ThreadPoolExecutor):
-        return functools.partial(_block, function, plan, _program(function) if vectorize else None)
-    try:
-        from cloudpickle import dumps  # functions of a notebook, too
-    except ImportError:
-        from pickle import dumps
-    is_x64 = bool(jax.config.jax_enable_x64)  # pyright: ignore
-    return functools.partial(_block_elsewhere, dumps((function, plan, vectorize)), is_x64, _version())
-
-
-def _block_elsewhere(data: bytes, is_x64: bool, version: str, region: tuple[slice, ...]) -> dict[str, np.ndarray]:
-    if version != _version():
-        raise RuntimeError(
-            f"a worker has jaxgeo {_version()}, this process {version}: install the same version on all."
-        )
-    with jax.enable_x64(is_x64):
-        function, plan, program = _unpacked(data)
-        return _block(function, plan, program, region)
-
-
-@functools.lru_cache(maxsize=4)
-def _unpacked(data: bytes) -> tuple[Any, ...]:
-    """(function, plan, program) of a sweep: the same for all blocks, so that they are compiled once."""
-    function, plan, vectorize = pickle.loads(data)
-    return function, plan, _program(function) if vectorize else None
-
-
-@functools.cache
-def _version() -> str:
-    return importlib.metadata.version("jaxgeo")
 
 
 def _block(

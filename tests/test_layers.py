@@ -13,7 +13,7 @@ LAYERS = [
     (
         "_typing _checks _compile _digest _elementary _export _numerics _record status least_squares _destination "
         "_partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
-        "_sweep _sweep_store batches"
+        "_parallel _sweep _sweep_store batches"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
@@ -26,7 +26,7 @@ LAYERS = [
     ["coverage", "ortho"],
     ["register"],
     ["io", "plot", "scale"],
-    ["studies", "demo"],
+    ["cluster", "studies", "demo"],
     ["report"],
     ["cli"],
     ["__main__"],
@@ -42,6 +42,7 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"batches", "_compile"}),
     frozenset({"_sweep", "_sweep_store"}),
     frozenset({"_sweep", "_digest"}),
+    frozenset({"_sweep", "_parallel"}),
     frozenset({"_record", "_checks"}),
     frozenset({"_record", "_export"}),
     frozenset({"_destination", "_partial"}),

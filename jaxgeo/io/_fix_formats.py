@@ -134,13 +134,14 @@ def _geopackage(table: FixTable) -> bytes:
         return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata)
 
 
-def _parquet(table: FixTable) -> bytes:
+def as_parquet(table: FixTable, types: Mapping[str, str] | None = None) -> bytes:
+    """A GeoParquet; as a part of a dataset, of given types of columns, with all of its geometries."""
     columns = {name: [row[name] for row in table.rows] for name in table.rows[0]}
     geometries = {"geometry": GeometryColumn(table.points, table.chart.crs)}
-    if any(one is not None for one in table.outlines):
+    if any(one is not None for one in table.outlines) or (types is not None and "kind" in types):
         geometries["ellipse"] = GeometryColumn(table.outlines, table.chart.flat)
         columns["kind"] = [None if one is None else kind for one, kind in zip(table.outlines, table.kinds, strict=True)]
-    return geoparquet(columns, geometries, table.metadata)
+    return geoparquet(columns, geometries, table.metadata, types)
 
 
 def _kml(table: FixTable) -> bytes:
@@ -171,7 +172,7 @@ WRITERS: dict[str, Callable[[FixTable], bytes]] = {
     ".geojson": _geojson,
     ".json": _geojson,
     ".gpkg": _geopackage,
-    ".parquet": _parquet,
+    ".parquet": as_parquet,
     ".kml": _kml,
     ".kmz": _kmz,
 }

@@ -38,6 +38,10 @@ class VerticalDatumError(DemError):
     """Heights whose vertical datum is unknown, contradictory, or needs a grid that is not installed."""
 
 
+class WindowTooLarge(DemError):
+    """Terrain that rays can touch is larger than the caller allows."""
+
+
 class OutsideDatum(ValueError):
     """A position outside a vertical datum's grid; readers that catch it add the file's name."""
 

@@ -18,7 +18,7 @@ from jaxgeo._record import check_loading
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io.blocks import Blocks
 from jaxgeo.io.dem import build_dem
-from jaxgeo.io.errors import DemError
+from jaxgeo.io.errors import DemError, WindowTooLarge
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, check_nodata_used, open_source
 from jaxgeo.io.paths import Paths, with_full_names
@@ -33,6 +33,7 @@ from jaxgeo.terrain.grid import AbstractGrid, GeographicGrid
 
 MAX_POSTS = 16_777_216  # 4096 x 4096: a quarter of a GB of heights and bounds
 PADDING = 2.25  # times a window's posts: largest size of its arrays, beyond 1024 posts a side
+METRES_PER_DEGREE = 111_000.0
 REUSE = 4  # times the posts needed: limit up to which an already compiled size is reused
 
 
@@ -112,9 +113,19 @@ class DemFiles:
         """Posts read for windows so far; `blocks.posts_read` counts those read for bounds."""
         self._void_ceiling = void_ceiling
         self._sizes: list[tuple[int, int]] = []
+        self._whole: DemFiles | None = None
         self.grid: AbstractGrid | None = None
         with contextlib.suppress(DemError):  # too large for one fitted map: fit one per window
             self.grid = make_grid(source.name, source.mapping)[0]
+
+    def forgetful(self) -> DemFiles:
+        """The same files without what is known of their heights, except those of the whole: the windows of rays, and so
+        the rounding of their fixes, do not depend on what was read before."""
+        files = DemFiles(
+            self.source, Blocks(self.source, self.blocks.height_range, None), self._void_ceiling, self.dtype
+        )
+        files._whole, files._opened_by = self, self._opened_by
+        return files
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopened, (self._opened_by, self.blocks.known(), self._sizes)
@@ -126,6 +137,12 @@ class DemFiles:
             f"DemFiles({self.source.name}: {rows} x {cols} posts, {self.source.mosaic.first.crs.name}, heights from "
             f"{self.source.shift.name}; bounds known of {known:.0f} % of it)"
         )
+
+    @property
+    def identity(self) -> str:
+        """Key of the files, with their times and sizes, and of the options that change what is read from them."""
+        options = self._void_ceiling, self.blocks.height_range, f"{self.dtype}"
+        return f"{self.blocks.known()['identity']} {options}"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -186,7 +203,7 @@ class DemFiles:
         if self.too_large(window, max_posts):
             whose = "the ray" if len(path.exists) == 1 else f"these {len(path.exists)} rays together"
             raise self.refuse(window, max_posts, whose)
-        return self.load(self._wider(window, margin), whole_ceiling=ceiling, max_posts=max_posts)
+        return self.load(self.wider(window, margin), whole_ceiling=ceiling, max_posts=max_posts)
 
     def follow(self, rays: Ray) -> Sightlines:
         """Paths of rays over the mosaic and where they may hit the ground, from the block bounds."""
@@ -215,20 +232,34 @@ class DemFiles:
             window = larger
         return window, False
 
-    def load(self, window: Window, *, whole_ceiling: bool, max_posts: int = MAX_POSTS) -> Dem:
-        """Load one window as a `Dem`, its arrays padded to one of a few sizes."""
+    def posts_of(self, window: Window, metres: float) -> int:
+        """Number of posts that a distance in m takes in the middle of a window, along the finer axis."""
+        row, col = 0.5 * (window.row + window.stop_row), 0.5 * (window.col + window.stop_col)
+        lon, lat = self.source.mapping.lonlat(row + np.array([0.0, 1.0, 0.0]), col + np.array([0.0, 0.0, 1.0]))
+        east = np.remainder(lon - lon[0] + 180.0, 360.0) - 180.0
+        steps = np.hypot(east * np.cos(np.radians(lat[0])), lat - lat[0])[1:] * METRES_PER_DEGREE
+        return min(int(np.ceil(metres / steps.min())), max(self.shape))
+
+    def load(
+        self,
+        window: Window,
+        *,
+        whole_ceiling: bool,
+        max_posts: int = MAX_POSTS,
+        size: tuple[int, int] | None = None,
+    ) -> Dem:
+        """Load one window as a `Dem`, its arrays padded to `size` (rows, cols), by default to one of a few sizes."""
         with OpenFiles() as files:
             heights, void = self.source.heights(window, self.dtype, files)
         self.posts_loaded += heights.size
         ceiling = self.void_ceiling if void.any() else None
         if void.all():  # no data here: a single post does not define a cell
             void[0, 0], heights[0, 0] = False, np.floor(self.void_ceiling)
-        dem = build_dem(
-            self.source.name, heights, void, self._grid_of(window), ceiling, self.size_for(window, max_posts)
-        )
+        size = self.size_for(window, max_posts) if size is None else size
+        dem = build_dem(self.source.name, heights, void, self._grid_of(window), ceiling, size)
         if not whole_ceiling:
             return dem
-        limits = jnp.asarray(self.floor), jnp.asarray(self.ceiling)
+        limits = tuple(jnp.asarray(end, jnp.float64) for end in (self.floor, self.ceiling))  # as those of a window
         return eqx.tree_at(lambda d: (d.lowest, d.highest), dem, limits)
 
     def size_for(self, window: Window, max_posts: int = MAX_POSTS) -> tuple[int, int]:
@@ -246,9 +277,9 @@ class DemFiles:
         """Whether a window holds more than `max_posts`."""
         return window is not None and window.shape[0] * window.shape[1] > max_posts
 
-    def refuse(self, window: Window, max_posts: int, whose: str) -> DemError:
+    def refuse(self, window: Window, max_posts: int, whose: str) -> WindowTooLarge:
         """Error for a window that is too large."""
-        return DemError(
+        return WindowTooLarge(
             f"{self.source.name}: {whose} can touch {window.shape[0]} x {window.shape[1]} posts, more than "
             f"max_posts={max_posts}. Allow more posts, or give rays that are closer together or steeper."
         )
@@ -257,6 +288,8 @@ class DemFiles:
         return self.blocks.height_range is not None or bool(self.blocks.is_read.all())
 
     def _range(self) -> tuple[float, float]:
+        if self._whole is not None:
+            return self._whole._range()
         if self.blocks.height_range is not None:
             return self.blocks.height_range
         was_read = bool(self.blocks.is_read.any())
@@ -300,7 +333,7 @@ class DemFiles:
             c0, c1 = start, c1 - c0 + start
         return Window(min(r0, rows - 2), c0 if self.blocks.turn else min(c0, cols - 2), max(r1, 2), max(c1, 2))
 
-    def _wider(self, window: Window, margin: int) -> Window:
+    def wider(self, window: Window, margin: int) -> Window:
         """A window enlarged by `margin` posts on every side, within the mosaic."""
         (rows, cols), turn = self.shape, self.blocks.turn
         col, stop_col = window.col - margin, window.stop_col + margin

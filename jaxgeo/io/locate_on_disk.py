@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -54,7 +54,7 @@ def intersect_files(rays: Ray, files: DemFiles, *, max_posts: int = MAX_POSTS) -
             f"{np.shape(rays.direction)}."
         )
     flat = Ray(np.asarray(rays.origin).reshape(-1, 3), np.asarray(rays.direction).reshape(-1, 3))
-    answers = _no_answers(len(flat.origin))
+    answers = no_answers(len(flat.origin))
     first = 0
     for part in in_parts(flat):
         _answer(part, files, max_posts, first, answers)
@@ -103,7 +103,7 @@ def _lines_of_sight(
     return jax.vmap(line_of_sight, in_axes=(None, None, None, 0))(sensor, shot, time, uv)
 
 
-def _no_answers(count: int) -> Any:
+def no_answers(count: int) -> Any:
     """An unfilled fix of NumPy arrays."""
     nan = lambda *shape: np.full((count, *shape), np.nan)  # noqa: E731
     position = Geodetic(lat=nan(), lon=nan(), height=nan())
@@ -113,6 +113,25 @@ def _no_answers(count: int) -> Any:
 
 def _answer(rays: Ray, files: DemFiles, max_posts: int, first: int, answers: Fix) -> None:
     """Compute the results for a part of the rays, which begins at `first`."""
+    rays, status, windows = windows_of(rays, files, max_posts, lambda ray: f"ray {first + ray} alone")
+    np.asarray(answers.status)[first : first + len(status)] = status
+    for index, window, whole in windows:
+        dem = files.load(window, whole_ceiling=whole, max_posts=max_posts)
+        ready = padded_rays(Ray(rays.origin[index], rays.direction[index]))
+        fix = _hits(ready, dem)
+        del dem
+        _put(answers, first + index, fix)
+
+
+def windows_of(
+    rays: Ray, files: DemFiles, max_posts: int, name_of: Callable[[int], str]
+) -> tuple[Ray, np.ndarray, Iterator[Batch]]:
+    """Windows for rays (n, 3), each for nearby ones, so that no ray crosses its window's edge before its first hit.
+
+    Returns the rays, invalid ones replaced by others that see nothing; the status of each without a window; and an
+    iterator of (indices of rays, window, whether it needs the whole mosaic's ceiling), which raises `DemError` for a
+    ray, named by `name_of`, whose window is too large.
+    """
     count = len(rays.origin)
     length = np.linalg.norm(rays.direction, axis=1)
     with np.errstate(invalid="ignore"):
@@ -126,14 +145,9 @@ def _answer(rays: Ray, files: DemFiles, max_posts: int, first: int, answers: Fix
         leaves, misses = _beside(rays, files, is_open)
         status[misses], status[leaves] = Status.ray_misses_terrain.value, Status.leaves_terrain.value
         is_open &= ~leaves
-    np.asarray(answers.status)[first : first + count] = np.where(valid, status, Status.invalid_input.value)
-    for which in (np.flatnonzero(path.exists & path.is_simple), np.flatnonzero(is_open)):
-        for index, window, whole in _batches(which, path, files, max_posts, first):
-            dem = files.load(window, whole_ceiling=whole, max_posts=max_posts)
-            ready = padded_rays(Ray(rays.origin[index], rays.direction[index]))
-            fix = _hits(ready, dem)
-            del dem
-            _put(answers, first + index, fix)
+    parts = (np.flatnonzero(path.exists & path.is_simple), np.flatnonzero(is_open))
+    windows = (found for which in parts for found in _batches(which, path, files, max_posts, name_of))
+    return rays, np.where(valid, status, Status.invalid_input.value), windows
 
 
 def _put(answers: Fix, where: np.ndarray, fix: Fix) -> None:
@@ -153,7 +167,9 @@ def _beside(rays: Ray, files: DemFiles, is_open: np.ndarray) -> tuple[np.ndarray
     return leaves, misses
 
 
-def _batches(which: np.ndarray, path: Sightlines, files: DemFiles, max_posts: int, first: int) -> Iterator[Batch]:
+def _batches(
+    which: np.ndarray, path: Sightlines, files: DemFiles, max_posts: int, name_of: Callable[[int], str]
+) -> Iterator[Batch]:
     """Groups of rays, each with a window that is not too large; rays that need none are left out."""
     middles = _middles(path)
     waiting = [which] if which.size else []
@@ -164,7 +180,7 @@ def _batches(which: np.ndarray, path: Sightlines, files: DemFiles, max_posts: in
             continue
         is_too_large = files.too_large(window, max_posts)
         if is_too_large and index.size == 1:
-            raise files.refuse(window, max_posts, f"ray {first + int(index[0])} alone")
+            raise files.refuse(window, max_posts, name_of(int(index[0])))
         if is_too_large or _is_worth_splitting(window, index, middles, path, files):
             waiting += _halves(index, middles)
         else:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxgeo._compile import long_run_jit
+from jaxgeo._compile import long_run_filter_jit, long_run_jit
 from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
@@ -79,8 +78,7 @@ def accuracy_of_observations(
         rows.append(batch.rows[index])
     if not found:
         return None
-    arrays = _spread([_arrays(one) for one in found], rows, len(observed), -1)
-    return dataclasses.replace(found[0], fix=fixes, **arrays)
+    return spread(found, rows, fixes)
 
 
 def located_with_accuracy(
@@ -141,7 +139,7 @@ def _located(observation: Observation, terrain: AbstractTerrain) -> Fix:
     return locate(observation, terrain)
 
 
-@functools.partial(jax.jit, static_argnums=(2, 3))
+@long_run_filter_jit
 def _located_many(observation: Observation, terrain: AbstractTerrain, is_one_camera: bool, axis: int | None) -> Fix:
     return jax.vmap(_located, in_axes=(axes_of(observation, is_one_camera), axis))(observation, terrain)
 
@@ -185,6 +183,12 @@ def _spread(each: Sequence[Any], rows: Sequence[np.ndarray], count: int, code: i
         return whole
 
     return jax.tree.map(spread, *each)
+
+
+def spread(each: Sequence[Accuracy], rows: Sequence[np.ndarray], fixes: Fix) -> Accuracy:
+    """Accuracies of parts of the fixes (n,), given the rows of each, as one; NaN for the other rows."""
+    arrays = _spread([_arrays(one) for one in each], rows, len(np.asarray(fixes.status)), -1)
+    return dataclasses.replace(each[0], fix=fixes, **arrays)
 
 
 def _arrays(of: Accuracy) -> dict[str, Any]:

@@ -173,6 +173,15 @@ class Observations:
         number, index = self.place(row)
         return self.batches[number].at(index)
 
+    def part(self, number: int, index: np.ndarray) -> Observations:
+        """Some of the pixels of a batch, with rows of their own; without the files that could not be read."""
+        batch = self.batches[number]
+        observation, sources = batch.at(index)
+        heights = None if batch.centre_heights is None else batch.centre_heights[index]
+        some = ObservationBatch(observation, sources, np.arange(len(index)), batch.is_one_camera, heights)
+        columns = [self.columns[row] for row in batch.rows[index].tolist()]
+        return dataclasses.replace(self, batches=(some,), columns=columns, unread={})
+
     def with_atmosphere(self, atmosphere: Atmosphere | None) -> Observations:
         """The same observations in another atmosphere."""
 

@@ -113,7 +113,19 @@ def dataset(folder: pathlib.Path) -> None:
     assert told["circular_error"].attrs["units"] == "m"
 
 
+def scheduler(_: pathlib.Path) -> None:
+    """Where the scheduler of a cluster is."""
+    from jaxgeo.cluster import connect
+
+    try:
+        with connect("no scheduler.json"):
+            raise AssertionError("there is no such file")
+    except FileNotFoundError:
+        pass
+
+
 EXTRAS = {
+    "cluster": Extra(("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "yaml"), (scheduler,)),
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),

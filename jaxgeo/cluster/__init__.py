@@ -1,0 +1,9 @@
+"""Many frames and large maps on the workers of a Dask cluster, or of any executor; results in parts, and resumable."""
+
+from __future__ import annotations
+
+from jaxgeo.cluster.client import connect
+from jaxgeo.cluster.frames import locate_frames
+from jaxgeo.cluster.parts import PartsFailed, Run
+
+__all__ = ["PartsFailed", "Run", "connect", "locate_frames"]

@@ -1,0 +1,128 @@
+"""Clients of Dask: a local cluster, or one that runs already, with workers set up for jaxgeo."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import jax
+
+from jaxgeo._parallel import version
+from jaxgeo._program_cache import keep_programs
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+TIMEOUT = 30.0  # s
+LOCAL = re.compile(r"local(?::([1-9][0-9]*))?")
+SETUP = "jaxgeo"  # name of the plugin
+# One thread per worker: more workers use the cores better than the threads of one program.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NPROC": "1"}
+
+
+@contextlib.contextmanager
+def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEOUT) -> Iterator[Client]:
+    """A Dask client whose workers are set up for jaxgeo, for a `with` block.
+
+    - `cluster`: "local" or "local:N" starts N worker processes of one thread each on this machine (default: one per
+      core); "tcp://host:port" or "tls://..." connects to a scheduler, another text is the name of a scheduler file.
+    - `timeout`: longest time in s until the scheduler answers.
+
+    The workers have 64-bit floats as this process, and keep compiled programs as `keep_programs` does, so that a
+    machine compiles once (see `prepare`, for a client of your own). Raises `ConnectionError` if no scheduler answers,
+    `FileNotFoundError` for a missing scheduler file, `RuntimeError` for workers with another version of jaxgeo, and
+    `ImportError` without the extra.
+    """
+    distributed = _distributed()
+    name = os.fspath(cluster)
+    with contextlib.ExitStack() as stack:
+        if found := LOCAL.fullmatch(name):
+            import dask.config
+
+            environment = {"distributed.nanny.pre-spawn-environ": ONE_THREAD}
+            with dask.config.set(environment):
+                workers = distributed.LocalCluster(
+                    n_workers=int(found[1]) if found[1] else _cores(),
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                )
+            stack.enter_context(workers)
+            client = distributed.Client(workers)
+        else:
+            is_address = "://" in name
+            if not is_address and not pathlib.Path(name).is_file():
+                raise FileNotFoundError(
+                    f'cluster "{name}": no scheduler file of this name; give "local", "local:4", "tcp://host:8786", or '
+                    f"the file that dask scheduler --scheduler-file FILE writes."
+                )
+            try:
+                client = distributed.Client(**{"address" if is_address else "scheduler_file": name}, timeout=timeout)
+            except (OSError, ValueError) as error:  # a time-out is an OSError
+                raise ConnectionError(
+                    f'cluster "{name}": no scheduler answers within {timeout:g} s ({error}). Start one with: dask '
+                    f"scheduler, and workers with: dask worker ADDRESS."
+                ) from error
+        stack.enter_context(client)
+        prepare(client)
+        yield client
+
+
+def prepare(client: Client) -> None:
+    """Set up the workers of a client, those that join later too: 64-bit floats as in this process, kept programs.
+
+    Raises `RuntimeError` for workers with another version of jaxgeo, or without it.
+    """
+    _distributed()
+    is_x64 = bool(jax.config.jax_enable_x64)  # pyright: ignore
+    found: Any = client.run(_version_there)
+    others = {address: one for address, one in found.items() if one != version()}
+    if others:
+        address, one = next(iter(others.items()))
+        has = f"jaxgeo {one}" if one else "no jaxgeo"
+        raise RuntimeError(
+            f"{len(others)} of {len(found)} workers have another version: {address} has {has}, this process "
+            f"{version()}. Install the same on all, and start them again."
+        )
+    client.register_plugin(_setup_class()(is_x64), name=SETUP)
+
+
+def _version_there() -> str:
+    """The version of jaxgeo on a worker; empty without it."""
+    import importlib.metadata
+
+    try:
+        return importlib.metadata.version("jaxgeo")
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def _setup_class() -> Any:
+    """The plugin of workers, a class of the library that is imported on call."""
+    from distributed import WorkerPlugin
+
+    class Setup(WorkerPlugin):
+        def __init__(self, is_x64: bool) -> None:
+            self.is_x64 = is_x64
+
+        def setup(self, worker: Any) -> None:
+            jax.config.update("jax_enable_x64", self.is_x64)
+            keep_programs()
+
+    return Setup
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise ImportError("clusters of Dask need the library distributed: pip install 'jaxgeo[cluster]'") from None
+    return distributed

@@ -1,0 +1,232 @@
+"""Fixes of many frames and their accuracy, in parts by place, as a dataset of GeoParquet files."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import pathlib
+import socket
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxgeo._checks import require_x64
+from jaxgeo._digest import digest_of
+from jaxgeo._parallel import Work
+from jaxgeo.cluster.parts import MANIFEST, Parts, Run, named
+from jaxgeo.earth import Geodetic
+from jaxgeo.fix import Fix
+from jaxgeo.io.files import DemFiles
+from jaxgeo.io.fix_parts import FixParts, write_summary
+from jaxgeo.io.located import FEW, SAMPLES_OF_MANY, accuracy_of_observations, axis_of, locate_observations, terrain_at
+from jaxgeo.io.located_over_files import AccuracyOptions, Located, locate_over_files, rays_of
+from jaxgeo.io.observations import Observations
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty._accuracy import SAMPLES
+
+ROWS = 256  # frames of a part
+MARGIN = 1000.0  # m, of ground read around that of the fixes, for their errors
+CELL = 256  # posts: frames are ordered by squares of the mosaic of this size
+KIND = "fixes"
+EARTH = 6_371_000.0  # m
+
+Ground = AbstractTerrain | DemFiles
+
+
+class Part(NamedTuple):
+    """Rows of the whole, in order; their observations and own level ground, or the reasons why they have none."""
+
+    rows: np.ndarray
+    observed: Observations | None
+    ground: AbstractTerrain | None
+    columns: list[dict[str, Any]]
+    reasons: list[str | None]
+
+
+class Setting(NamedTuple):
+    """What all parts have in common."""
+
+    folder: pathlib.Path
+    files: FixParts
+    ground: Ground | None
+    accuracy: AccuracyOptions | None
+    margin: float
+
+
+def locate_frames(
+    folder: str | os.PathLike[str],
+    observed: Observations,
+    terrain: Ground | Sequence[AbstractTerrain],
+    *,
+    client: Any = None,
+    accuracy: bool = False,
+    probability: float = 0.9,
+    count: int | None = None,
+    rows: int = ROWS,
+    margin: float = MARGIN,
+    crs: Any = "EPSG:4326",
+    heights: Any = None,
+    ellipses: bool = True,
+    mgrs: bool = False,
+    progress: bool = False,
+) -> Run:
+    """Fixes of all rows of `observed`, and their accuracy, as a dataset of GeoParquet files in `folder`.
+
+    - `terrain`: that of `locate_observations`, or a DEM on disk (`jaxgeo.io.open_dem`): a part of the frames reads a
+      window of it once. For a mosaic with voids give `open_dem` a `void_ceiling`, or each worker reads all of it.
+    - `client`: a Dask `Client` (`connect`), any `concurrent.futures.Executor`, or None for this process. The results do
+      not depend on it, except that rounding may differ between kinds of processors.
+    - `accuracy`: also the accuracy, with `probability` and `count` of samples as `accuracy_of_observations`.
+    - `rows`: largest number of frames of a part, a file. Frames over a DEM on disk are ordered by place, others as
+      given; the column `index` is the row in `observed`. `margin`: see `locate_over_files`.
+    - `crs`, `heights`, `ellipses`, `mgrs`: as for `write_fixes`; the columns are the same.
+
+    Workers write into `folder`, which all must see. Parts appear when they are whole; a later call with the same
+    arguments computes only those that are missing. `_manifest.json` lists all parts; `_metadata` is for readers of
+    datasets (pyarrow, DuckDB, GeoPandas, GDAL). A file of `observed` that could not be read is a row with its reason.
+
+    Raises `PartsFailed` if parts could not be computed, after the others are; `ValueError` for arguments that
+    contradict each other, and a folder that holds something else; otherwise as `write_fixes`.
+    """
+    require_x64()
+    if isinstance(rows, bool) or not isinstance(rows, int | np.integer) or rows < 1:
+        raise ValueError(
+            f"rows must be an integer of at least 1, the largest number of frames of a part; got {rows!r}."
+        )
+    if not (math.isfinite(margin) and margin >= 0.0):
+        raise ValueError(f"margin must be a distance in m, 0 or more; got {margin!r}.")
+    if not observed.batches:
+        raise ValueError("observed has no frame that could be read.")
+    count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
+    files = FixParts.of(
+        observed.position,
+        observed.columns,
+        crs=crs,
+        heights=heights,
+        mgrs=mgrs,
+        ellipses=ellipses,
+        probability=probability if accuracy else None,
+    )
+    options = AccuracyOptions(float(probability), int(count)) if accuracy else None
+    each = parts_of(observed, terrain, int(rows))
+    shared = terrain if isinstance(terrain, AbstractTerrain | DemFiles) else None
+    if isinstance(shared, AbstractTerrain) and axis_of(shared) == 0:
+        shared = None
+    setting = Setting(pathlib.Path(folder).absolute(), files, shared, options, float(margin))
+    names = named("part-", len(each), ".parquet")
+    parts = Parts(setting.folder, KIND, _identity(observed, terrain, setting, int(rows)), names)
+    missing = set(parts.open())
+    given = {name: part for name, part in zip(names, each, strict=True) if name in missing}
+    work = Work(_located_parts, setting)
+    finish = functools.partial(write_summary, setting.folder)
+    return parts.compute(given, work, client, progress, finish, lambda part: len(part.rows))
+
+
+def parts_of(observed: Observations, terrain: Ground | Sequence[AbstractTerrain], rows: int) -> list[Part]:
+    """The frames in parts of at most `rows` of one batch; over a DEM on disk those of a part are near each other."""
+    reasons = observed.reasons or [None] * len(observed)
+    each = list(terrain) if isinstance(terrain, Sequence) else [terrain] * len(observed.batches)
+    parts = []
+    for number, (batch, ground) in enumerate(zip(observed.batches, each, strict=True)):
+        order = np.arange(len(batch)) if not isinstance(ground, DemFiles) else _order(batch, ground)
+        for index in np.array_split(order, -(-len(batch) // rows)):
+            some = observed.part(number, index)
+            is_own = not isinstance(ground, DemFiles) and (isinstance(terrain, Sequence) or axis_of(ground) == 0)
+            own = terrain_at(ground, index) if is_own else None  # pyright: ignore
+            parts.append(Part(batch.rows[index], some, own, some.columns, [None] * len(index)))
+    for some in _split(np.array(sorted(observed.unread), int), rows):
+        told = [reasons[row] for row in some.tolist()]
+        parts.append(Part(some, None, None, [observed.columns[row] for row in some.tolist()], told))
+    return parts
+
+
+def _split(rows: np.ndarray, most: int) -> list[np.ndarray]:
+    return np.array_split(rows, -(-len(rows) // most)) if len(rows) else []
+
+
+def _order(batch: Any, files: DemFiles) -> np.ndarray:
+    """Indices of the frames of a batch by the squares of a mosaic that they look at, along a Z-shaped curve."""
+    rays, _ = rays_of(batch)
+    origin, direction = np.asarray(rays.origin), np.asarray(rays.direction)
+    along = np.sum(origin * direction, axis=1)
+    radius = np.minimum(EARTH, np.linalg.norm(origin, axis=1) - 1.0)  # rough, and all that an order needs
+    off = np.maximum(along**2 - np.sum(origin**2, axis=1) + radius**2, 0.0)
+    place = origin + np.maximum(-along - np.sqrt(off), 0.0)[:, None] * direction
+    lon = np.degrees(np.arctan2(place[:, 1], place[:, 0]))
+    lat = np.degrees(np.arctan2(place[:, 2], np.hypot(place[:, 0], place[:, 1])))
+    with np.errstate(invalid="ignore"):
+        row, col = files.source.mapping.rowcol(lon, lat)
+        cells = [np.clip(np.nan_to_num(x) / CELL + (1 << 20), 0, (1 << 21) - 1).astype(np.int64) for x in (row, col)]
+    return np.argsort(_spread_bits(cells[0]) | _spread_bits(cells[1]) << 1, kind="stable")
+
+
+def _spread_bits(numbers: np.ndarray) -> np.ndarray:
+    """Whole numbers of 21 bits with a zero bit after each."""
+    found = np.zeros_like(numbers)
+    for bit in range(21):
+        found |= ((numbers >> bit) & 1) << (2 * bit)
+    return found
+
+
+def _identity(observed: Observations, terrain: Any, setting: Setting, rows: int) -> dict[str, str]:
+    """What results depend on, by name."""
+    batches = [(one.observation, one.sources, one.rows, one.is_one_camera) for one in observed.batches]
+    ground, out = terrain.identity if isinstance(terrain, DemFiles) else terrain, setting.files
+    return {
+        "frames": digest_of((batches, repr(observed.columns), observed.reasons)),
+        "terrain": digest_of(ground),
+        "accuracy": str(setting.accuracy and tuple(setting.accuracy)),
+        "output": digest_of((f"{out.crs!r} {out.heights!r}", out.mgrs, out.ellipses)),
+        "rows of a part": str(rows),
+        "margin": f"{setting.margin:g} m",
+    }
+
+
+def _located_parts(setting: Setting) -> Callable[[tuple[str, Part]], dict[str, int]]:
+    return functools.partial(_locate_part, setting)
+
+
+def _locate_part(setting: Setting, item: tuple[str, Part]) -> dict[str, int]:
+    """Compute and write a part; returns the count of each status by name."""
+    name, part = item
+    check_seen(setting.folder)
+    found = _found(setting, part)
+    setting.files.write(setting.folder / name, found.fixes, found.accuracy, part.rows, part.columns, found.reasons)
+    return dict(Counter(Status(int(code)).name for code in np.asarray(found.fixes.status)))
+
+
+def _found(setting: Setting, part: Part) -> Located:
+    if part.observed is None:
+        return Located(_not_read(len(part.rows)), None, part.reasons)
+    ground = setting.ground if part.ground is None else part.ground
+    if isinstance(ground, DemFiles):
+        margin = 0.0 if setting.accuracy is None else setting.margin
+        return locate_over_files(part.observed, ground, setting.accuracy, margin=margin)
+    assert ground is not None
+    grounds = [ground]
+    fixes = locate_observations(part.observed, grounds)
+    if setting.accuracy is None:
+        return Located(fixes, None, part.reasons)
+    probability, count = setting.accuracy
+    own = accuracy_of_observations(part.observed, grounds, fixes, probability=probability, count=count)
+    return Located(fixes, own, part.reasons)
+
+
+def check_seen(folder: pathlib.Path) -> None:
+    """Raise `FileNotFoundError` if this process does not see the folder of a run."""
+    if not (folder / MANIFEST).exists():
+        raise FileNotFoundError(
+            f"{folder}: not seen by the worker on {socket.gethostname()}; give a folder on a file system that all "
+            f"workers share."
+        )
+
+
+def _not_read(count: int) -> Fix:
+    """Fixes of frames whose files could not be read."""
+    unknown, status = np.full(count, np.nan), np.full(count, Status.file_not_read, np.int8)
+    position = Geodetic(lat=unknown, lon=unknown, height=unknown)
+    return Fix(position, np.full((count, 3), np.nan), unknown, unknown, unknown, unknown, status)
