@@ -19,6 +19,7 @@ from jaxgeo.terrain import Dem
 
 if TYPE_CHECKING:
     import jaxgeo.io.scene
+    from jaxgeo.io import DemFiles
 
 T = TypeVar("T")
 
@@ -40,17 +41,30 @@ def read_terrain(dem: list[str], options: DemOptions) -> Dem:
         )
         edges = west, south, east, north
     with working("reading the elevation model"), translate_dem_errors():
-        return read_dem(
-            list(dem),
-            vertical_datum=datum(options.vertical_datum),
-            nodata=options.nodata,
-            height_unit=options.height_unit,
-            band=1 if options.dem_band is None else options.dem_band,
-            bounds=edges,
-            assume_wgs84=bool(options.assume_wgs84),
-            allow_remote=bool(options.allow_remote),
-            allow_outside=bool(options.allow_outside),
-        )
+        return read_dem(list(dem), bounds=edges, **_reading_of(options))
+
+
+def open_terrain(dem: list[str], options: DemOptions) -> DemFiles:
+    """Elevation model on disk, of which only the ground in sight is read."""
+    from jaxgeo.io import open_dem
+
+    if options.dem_bounds is not None:
+        raise UserError("--dem-bounds does not go with --cluster, which reads only the ground in sight; leave it out.")
+    with translate_dem_errors():
+        return open_dem(list(dem), **_reading_of(options))
+
+
+def _reading_of(options: DemOptions) -> dict[str, Any]:
+    """Options of `read_dem` and `open_dem`."""
+    return {
+        "vertical_datum": datum(options.vertical_datum),
+        "nodata": options.nodata,
+        "height_unit": options.height_unit,
+        "band": 1 if options.dem_band is None else options.dem_band,
+        "assume_wgs84": bool(options.assume_wgs84),
+        "allow_remote": bool(options.allow_remote),
+        "allow_outside": bool(options.allow_outside),
+    }
 
 
 def terrain_files(dem: list[str], options: DemOptions) -> list[str]:

@@ -6,6 +6,7 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,13 +17,16 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._acquisitions import print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
-from jaxgeo.cli._inputs import as_datum, numbers_in, read_terrain
+from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position, TerrainField, TerrainHeight
+
+if TYPE_CHECKING:
+    from jaxgeo.io import DemFiles
 
 REPORTED = "reported"
 SHARE = re.compile(r"( \(\d+ of \d+ exposures[^)]*\))?$")  # end of a sentence that does not apply to all
@@ -39,10 +43,10 @@ BENT = "what it bends at the corners counts as an error of the focal length"
 
 @dataclasses.dataclass(frozen=True)
 class LocateInputs:
-    """Observations, the ground of each batch, whether error sources are used, and assumptions as printed."""
+    """Observations, the ground of each batch or `DemFiles`, whether error sources are used, assumptions as printed."""
 
     observed: jaxgeo.io.Observations
-    grounds: list[AbstractTerrain]
+    grounds: Any
     has_errors: bool
     assumed: list[str]
 
@@ -61,18 +65,24 @@ Check = Callable[["jaxgeo.io.Observations", bool], object]
 
 
 def read_inputs(
-    options: LocateOptions, with_errors: bool | None, output: pathlib.Path | None, check: Check | None = None
+    options: LocateOptions,
+    with_errors: bool | None,
+    output: pathlib.Path | None,
+    check: Check | None = None,
+    *,
+    on_disk: bool = False,
 ) -> LocateInputs:
     """The inputs, small and error-prone ones first; assumptions and unread files are printed on stderr.
 
-    `check` is called with the observations, and whether there are error sources, before the ground is read. Error
+    `check` is called with the observations, and whether there are error sources, before the ground is read. An
+    elevation model is left on disk if asked for, unless rays are bent. Error
     sources are used if `with_errors`; if that is None, for a FILE, or if the scene ([errors] table) or an option states
     them. Raises `UserError`, `ValueError` if `output` would overwrite an input, and as the readers.
     """
     options.check()
     if output is not None:
         check_no_input("--output", [output], options.input_files)
-    inputs = inputs_of(options, with_errors, check)
+    inputs = inputs_of(options, with_errors, check, on_disk=on_disk)
     for one in inputs.assumed:
         print_message(f"assumed: {one}")
     _print_pixels_outside(options.pixels, inputs.observed)
@@ -80,7 +90,9 @@ def read_inputs(
     return inputs
 
 
-def inputs_of(options: LocateOptions, with_errors: bool | None, check: Check | None = None) -> LocateInputs:
+def inputs_of(
+    options: LocateOptions, with_errors: bool | None, check: Check | None = None, *, on_disk: bool = False
+) -> LocateInputs:
     """`read_inputs` without messages."""
     options.check()
     if with_errors is None and options.of_images.shots is None:
@@ -97,7 +109,7 @@ def inputs_of(options: LocateOptions, with_errors: bool | None, check: Check | N
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
     if check is not None:
         check(observed, bool(with_errors))
-    return LocateInputs(observed, _grounds(options, observed), bool(with_errors), assumed)
+    return LocateInputs(observed, _grounds(options, observed, on_disk), bool(with_errors), assumed)
 
 
 def _observations(options: LocateOptions) -> jaxgeo.io.Observations:
@@ -188,9 +200,13 @@ def _sources(
     return found, assumed
 
 
-def _grounds(options: LocateOptions, observed: jaxgeo.io.Observations) -> list[AbstractTerrain]:
+def _grounds(
+    options: LocateOptions, observed: jaxgeo.io.Observations, on_disk: bool
+) -> Sequence[AbstractTerrain] | DemFiles:
     """The ground of each batch."""
     ground, batches = options.ground, observed.batches
+    if ground.level is None and on_disk and observed.atmosphere is None:
+        return open_terrain(ground.dem or [], ground)
     if ground.level is None:
         return [read_terrain(ground.dem or [], ground)] * len(batches)
     if ground.level == REPORTED:

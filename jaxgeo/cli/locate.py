@@ -16,7 +16,8 @@ import typer
 import jaxgeo
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
+from jaxgeo.cli._cluster import ClusterOptions, report_failed_parts
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas
@@ -26,7 +27,8 @@ from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixe
 from jaxgeo.cli._option_names import reason_not_read
 from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts
+from jaxgeo.cli._screen import print_counts, print_message
+from jaxgeo.status import Status, counts_as_fix
 
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 Row = dict[str, Any]
@@ -52,7 +54,10 @@ class OutputOptions(OptionGroup):
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help=f"File to write ({', '.join(ENDINGS)}); default: the terminal."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help=f"File to write ({', '.join(ENDINGS)}), or FOLDER with --cluster; default: the terminal.",
         ),
     ] = None
     format: Annotated[
@@ -122,6 +127,7 @@ def locate_command(
     refraction: Refraction = False,
     reading: ReadingOptions,
     writing: OutputOptions,
+    many: ClusterOptions,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -133,6 +139,11 @@ def locate_command(
             raise UserError(f"--probability {probability:g}: must be between 0 and 1.")
         if accuracy is False and sigmas.given:
             raise UserError("--no-accuracy contradicts standard deviations (--...-sigma); leave one out.")
+        if many.cluster is not None:
+            many.check(writing.output, format=writing.format is not None)
+            _locate_on_cluster(options, accuracy, probability, writing, many, as_json)
+            return
+        many.check(writing.output)
         writing.check()
         if writing.is_file or as_json:
             _locate_all(options, accuracy, probability, writing, as_json)
@@ -166,6 +177,52 @@ def _locate_all(
     if as_json:
         print_json("locate", {"inputs": options.inputs, "assumed": inputs.assumed, "fixes": rows})
     exit_without_fix(inputs, fixes)
+
+
+def _locate_on_cluster(
+    options: LocateOptions,
+    accuracy: bool | None,
+    probability: float,
+    writing: OutputOptions,
+    many: ClusterOptions,
+    as_json: bool,
+) -> None:
+    """Locate on the workers of Dask, into a folder of GeoParquet files."""
+    from jaxgeo.cluster import locate_frames, statuses_of
+
+    assert writing.output is not None
+    _start(options)
+    inputs = read_inputs(options, accuracy, None, on_disk=True)
+    observed = dataclasses.replace(inputs.observed, columns=_typed(inputs.observed))
+    with many.connected() as client, report_failed_parts():
+        run = locate_frames(
+            writing.output,
+            observed,
+            inputs.grounds,
+            client=client,
+            accuracy=inputs.has_errors,
+            probability=probability,
+            progress=many.shows_progress,
+            **writing.drawn,
+        )
+    counts = statuses_of(run)
+    if run.computed < len(run.parts):
+        print_message(f"{run.computed} of {len(run.parts)} parts were missing; the others were there.")
+    print_counts(counts, len(observed))
+    if as_json:
+        print_json(
+            "locate",
+            {
+                "inputs": options.inputs | {"cluster": many.cluster, "output": writing.output},
+                "assumed": inputs.assumed,
+                "parts": list(run.parts),
+                "computed": run.computed,
+                "statuses": counts,
+            },
+        )
+    if not any(counts_as_fix(Status[name].code) for name in counts):
+        print_message("no pixel has a fix.")
+        raise typer.Exit(NO_ANSWER)
 
 
 def _locate_rows(options: LocateOptions, accuracy: bool | None, probability: float, writing: OutputOptions) -> None:

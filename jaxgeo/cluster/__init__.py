@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from jaxgeo.cluster.client import connect
-from jaxgeo.cluster.frames import locate_frames
+from jaxgeo.cluster.frames import locate_frames, statuses_of
 from jaxgeo.cluster.parts import PartsFailed, Run
 
-__all__ = ["PartsFailed", "Run", "connect", "locate_frames"]
+__all__ = ["PartsFailed", "Run", "connect", "locate_frames", "statuses_of"]

@@ -39,6 +39,7 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
     """
     distributed = _distributed()
     name = os.fspath(cluster)
+    check_name(name)
     with contextlib.ExitStack() as stack:
         if found := LOCAL.fullmatch(name):
             import dask.config
@@ -53,14 +54,9 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
             stack.enter_context(workers)
             client = distributed.Client(workers)
         else:
-            is_address = "://" in name
-            if not is_address and not pathlib.Path(name).is_file():
-                raise FileNotFoundError(
-                    f'cluster "{name}": no scheduler file of this name; give "local", "local:4", "tcp://host:8786", or '
-                    f"the file that dask scheduler --scheduler-file FILE writes."
-                )
+            given = {"address" if "://" in name else "scheduler_file": name}
             try:
-                client = distributed.Client(**{"address" if is_address else "scheduler_file": name}, timeout=timeout)
+                client = distributed.Client(**given, timeout=timeout)
             except (OSError, ValueError) as error:  # a time-out is an OSError
                 raise ConnectionError(
                     f'cluster "{name}": no scheduler answers within {timeout:g} s ({error}). Start one with: dask '
@@ -69,6 +65,15 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
         stack.enter_context(client)
         prepare(client)
         yield client
+
+
+def check_name(name: str) -> None:
+    """Raise `FileNotFoundError` for a name of a cluster that is none of those of `connect`."""
+    if LOCAL.fullmatch(name) is None and "://" not in name and not pathlib.Path(name).is_file():
+        raise FileNotFoundError(
+            f'cluster "{name}": no scheduler file of this name; give "local", "local:4", "tcp://host:8786", or the '
+            f"file that dask scheduler --scheduler-file FILE writes."
+        )
 
 
 def prepare(client: Client) -> None:

@@ -17,7 +17,7 @@ from jaxgeo._checks import require_x64
 from jaxgeo._digest import digest_of
 from jaxgeo._parallel import Work
 from jaxgeo.cluster.parts import MANIFEST, Parts, Run, named
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io.files import DemFiles
 from jaxgeo.io.fix_parts import FixParts, write_summary
@@ -30,9 +30,8 @@ from jaxgeo.uncertainty._accuracy import SAMPLES
 
 ROWS = 256  # frames of a part
 MARGIN = 1000.0  # m, of ground read around that of the fixes, for their errors
-CELL = 256  # posts: frames are ordered by squares of the mosaic of this size
+CELL = 16  # posts: frames are ordered by squares of the mosaic of this size
 KIND = "fixes"
-EARTH = 6_371_000.0  # m
 
 Ground = AbstractTerrain | DemFiles
 
@@ -101,6 +100,11 @@ def locate_frames(
         raise ValueError(f"margin must be a distance in m, 0 or more; got {margin!r}.")
     if not observed.batches:
         raise ValueError("observed has no frame that could be read.")
+    if isinstance(terrain, DemFiles) and observed.atmosphere is not None:
+        raise ValueError(
+            "terrain: in an atmosphere rays are bent, and a DEM on disk is read along straight ones; read it with "
+            "read_dem, or leave the atmosphere out."
+        )
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
     files = FixParts.of(
         observed.position,
@@ -151,13 +155,14 @@ def _split(rows: np.ndarray, most: int) -> list[np.ndarray]:
 def _order(batch: Any, files: DemFiles) -> np.ndarray:
     """Indices of the frames of a batch by the squares of a mosaic that they look at, along a Z-shaped curve."""
     rays, _ = rays_of(batch)
-    origin, direction = np.asarray(rays.origin), np.asarray(rays.direction)
-    along = np.sum(origin * direction, axis=1)
-    radius = np.minimum(EARTH, np.linalg.norm(origin, axis=1) - 1.0)  # rough, and all that an order needs
-    off = np.maximum(along**2 - np.sum(origin**2, axis=1) + radius**2, 0.0)
-    place = origin + np.maximum(-along - np.sqrt(off), 0.0)[:, None] * direction
+    stretch = np.array([1.0, 1.0, float(WGS84.a / WGS84.b)])  # the ellipsoid as a sphere
+    origin, direction = np.asarray(rays.origin) * stretch, np.asarray(rays.direction) * stretch
+    squared, along = np.sum(direction**2, axis=1), np.sum(origin * direction, axis=1)
+    off = along**2 - squared * (np.sum(origin**2, axis=1) - float(WGS84.a) ** 2)
+    there = np.maximum(-along - np.sqrt(np.maximum(off, 0.0)), 0.0) / squared  # at the closest point beside the Earth
+    place = origin + there[:, None] * direction
     lon = np.degrees(np.arctan2(place[:, 1], place[:, 0]))
-    lat = np.degrees(np.arctan2(place[:, 2], np.hypot(place[:, 0], place[:, 1])))
+    lat = np.degrees(np.arctan2(stretch[2] * place[:, 2], np.hypot(place[:, 0], place[:, 1])))
     with np.errstate(invalid="ignore"):
         row, col = files.source.mapping.rowcol(lon, lat)
         cells = [np.clip(np.nan_to_num(x) / CELL + (1 << 20), 0, (1 << 21) - 1).astype(np.int64) for x in (row, col)]
@@ -214,6 +219,14 @@ def _found(setting: Setting, part: Part) -> Located:
     probability, count = setting.accuracy
     own = accuracy_of_observations(part.observed, grounds, fixes, probability=probability, count=count)
     return Located(fixes, own, part.reasons)
+
+
+def statuses_of(run: Run) -> dict[str, int]:
+    """Count of each status by name of all rows of a run, those computed earlier too."""
+    from pyarrow import parquet
+
+    columns = (parquet.read_table(run.folder / name, columns=["status"]) for name in run.parts)
+    return dict(Counter(name for column in columns for name in column["status"].to_pylist()))
 
 
 def check_seen(folder: pathlib.Path) -> None:

@@ -35,7 +35,7 @@ class PartsFailed(RuntimeError):
             f"{folder}: {len(failed)} of {total} parts failed; the first, {name}: {reason} The others are whole; the "
             f"same call computes the missing ones."
         )
-        self.folder, self.failed = folder, dict(failed)
+        self.folder, self.failed, self.total = folder, dict(failed), total
 
 
 class Parts(NamedTuple):

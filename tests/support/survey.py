@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pyproj
 import rasterio
-from rasterio.transform import from_origin
 
 from jaxgeo import Exposure, FrameCamera, Gimbal, Mount, Observation, Pose, Sensor, Shot
 from jaxgeo.io import ObservationBatch, Observations
@@ -34,7 +33,9 @@ def write_tiles(folder: pathlib.Path, down: int = 5, across: int = 8, posts: int
             east, north = west + (np.arange(posts) + 0.5) * STEP, top - (np.arange(posts) + 0.5) * STEP
             paths.append(folder / f"tile_{i}_{j}.tif")
             profile = {"height": posts, "width": posts, "count": 1, "dtype": "float64", "crs": CRS}
-            with rasterio.open(paths[-1], "w", transform=from_origin(west, top, STEP, STEP), **profile) as file:
+            with rasterio.open(
+                paths[-1], "w", transform=rasterio.Affine(STEP, 0.0, west, 0.0, -STEP, top), **profile
+            ) as file:
                 file.write(height_at(east[None, :], north[:, None]), 1)
     return paths
 

@@ -1,0 +1,247 @@
+"""Fixes of many frames in parts: the same as at once, by whichever workers, and after whatever interruption."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import pathlib
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from support.survey import survey, write_tiles
+
+import jaxgeo
+from jaxgeo.cluster import PartsFailed, connect, locate_frames, statuses_of
+from jaxgeo.cluster.parts import MANIFEST
+from jaxgeo.io import ImageError, Observations, open_dem, read_dem
+from jaxgeo.io.acquisitions.several import Unread
+from jaxgeo.io.located_over_files import AccuracyOptions, locate_over_files
+from jaxgeo.status import Status
+
+parquet: Any = pytest.importorskip("pyarrow.parquet")
+
+SIDE = 60 * 30.0  # m, of a tile
+GROUND = jaxgeo.ConstantHeight(600.0)
+
+
+@pytest.fixture(scope="module")
+def tiles(tmp_path_factory: pytest.TempPathFactory) -> list[pathlib.Path]:
+    return write_tiles(tmp_path_factory.mktemp("tiles"), down=2, across=3, posts=60)
+
+
+@pytest.fixture(scope="module")
+def frames() -> Observations:
+    """Some of them look beyond the tiles."""
+    return survey(60, (2 * SIDE, 3 * SIDE))
+
+
+@pytest.fixture(scope="module")
+def with_unread(frames: Observations) -> Observations:
+    """The same, before the last two of which there are files that could not be read."""
+    (batch,) = frames.batches
+    rows = np.where(batch.rows < 58, batch.rows, batch.rows + 2)
+    columns = [*frames.columns[:58], *({"name": name, "u": None, "v": None} for name in "ab"), *frames.columns[58:]]
+    unread = {
+        58: Unread("a.jpg", ImageError("a.jpg: no image"), 58),
+        59: Unread("b.jpg", ImageError("b.jpg: empty"), 59),
+    }
+    return dataclasses.replace(frames, batches=(dataclasses.replace(batch, rows=rows),), columns=columns, unread=unread)
+
+
+def content(folder: pathlib.Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def table(folder: pathlib.Path, names: Sequence[str]) -> dict[str, list[Any]]:
+    """Columns of a dataset in the order of its rows."""
+    found = parquet.ParquetDataset([folder / name for name in names]).read().sort_by("index")
+    return {name: found[name].to_pylist() for name in found.column_names}
+
+
+def test_parts_hold_the_fixes_that_are_computed_at_once(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
+    files = open_dem(tiles, vertical_datum="ellipsoid")
+    run = locate_frames(tmp_path / "fixes", frames, files, rows=25)
+    found = table(run.folder, run.parts)
+    fixes = jaxgeo.io.locate_observations(frames, read_dem(tiles, vertical_datum="ellipsoid"))
+    assert found["index"] == list(range(60))
+    assert found["name"] == [f"frame {k}" for k in range(60)]
+    assert len(run.parts) == 3
+    assert run.computed == 3
+    statuses = [Status(int(code)).name for code in fixes.status]
+    assert found["status"] == statuses
+    assert run.counts == statuses_of(run)
+    assert {"hit", "leaves_terrain"} <= set(statuses)
+    hits = np.array([one == "hit" for one in statuses])
+    lat = np.array(found["fix_lat_deg"], float)[hits]
+    np.testing.assert_allclose(lat, np.degrees(np.asarray(fixes.position.lat))[hits], rtol=0.0, atol=1e-10)
+    heights = np.array(found["fix_height_m"], float)[hits]
+    np.testing.assert_allclose(heights, np.asarray(fixes.position.height)[hits], rtol=0.0, atol=1e-4)
+
+
+def test_frames_of_a_part_are_near_each_other(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
+    run = locate_frames(tmp_path / "fixes", frames, open_dem(tiles, vertical_datum="ellipsoid"), rows=10)
+    spread = []
+    for name in run.parts:
+        own = table(run.folder, [name])
+        known = [k for k, lat in enumerate(own["fix_lat_deg"]) if lat is not None]
+        spread += [np.ptp([own[axis][k] for k in known]) for axis in ("fix_lat_deg", "fix_lon_deg")]
+    every = table(run.folder, run.parts)
+    whole = np.ptp([lat for lat in every["fix_lat_deg"] if lat is not None])
+    assert np.mean(spread) < 0.7 * whole
+
+
+def test_what_was_read_before_changes_no_bit(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
+    files = open_dem(tiles, vertical_datum="ellipsoid")
+    locate_frames(tmp_path / "fresh", frames, files, rows=25)
+    assert files.highest > files.lowest  # reads all heights
+    locate_frames(tmp_path / "used", frames, files, rows=25)
+    assert content(tmp_path / "fresh") == content(tmp_path / "used")
+
+
+def test_the_executor_changes_no_bit(tmp_path: pathlib.Path, with_unread: Observations) -> None:
+    locate_frames(tmp_path / "own", with_unread, GROUND, rows=9)
+    with ThreadPoolExecutor(2) as threads:
+        locate_frames(tmp_path / "threads", with_unread, GROUND, client=threads, rows=9)
+    assert content(tmp_path / "own") == content(tmp_path / "threads")
+
+
+def test_a_file_that_could_not_be_read_is_a_row_with_its_reason(tmp_path, with_unread: Observations) -> None:
+    run = locate_frames(tmp_path / "fixes", with_unread, GROUND)
+    found = table(run.folder, run.parts)
+    assert found["name"] == [row["name"] for row in with_unread.columns]
+    assert found["status"] == [*["hit"] * 58, *["file_not_read"] * 2, *["hit"] * 2]
+    assert found["status_text"][58:60] == ["a.jpg: no image", "b.jpg: empty"]
+
+
+def test_parts_have_one_schema_and_a_summary(tmp_path: pathlib.Path, with_unread: Observations) -> None:
+    """That of unread files has no values, which says nothing of their type."""
+    run = locate_frames(tmp_path / "fixes", with_unread, GROUND, rows=30)
+    schemas = [parquet.read_schema(run.folder / name) for name in run.parts]
+    assert all(one.equals(schemas[0], check_metadata=True) for one in schemas)
+    summary = parquet.read_metadata(run.folder / "_metadata")
+    assert summary.num_rows == 62
+    paths = {summary.row_group(k).column(0).file_path for k in range(summary.num_row_groups)}
+    assert paths == set(run.parts)
+    geopandas = pytest.importorskip("geopandas")
+    assert len(geopandas.read_parquet(run.folder)) == 62  # of the files without an underscore
+
+
+def test_level_ground_of_its_own_for_each_frame(tmp_path: pathlib.Path, frames: Observations) -> None:
+    heights = np.linspace(500.0, 700.0, 60)
+    run = locate_frames(tmp_path / "fixes", frames, [jaxgeo.ConstantHeight(heights)], rows=11)
+    np.testing.assert_allclose(table(run.folder, run.parts)["fix_height_m"], heights, rtol=0.0, atol=1e-3)
+
+
+def test_only_what_is_missing_is_computed(tmp_path: pathlib.Path, frames: Observations) -> None:
+    run = locate_frames(tmp_path / "fixes", frames, GROUND, rows=20)
+    before = content(run.folder)
+    (run.folder / run.parts[1]).unlink()
+    again = locate_frames(tmp_path / "fixes", frames, GROUND, rows=20)
+    assert (run.computed, again.computed, sum(again.counts.values())) == (3, 1, 20)
+    assert content(run.folder) == before
+
+
+@pytest.mark.parametrize(
+    "change, named",
+    [
+        ({"terrain": jaxgeo.ConstantHeight(601.0)}, "terrain"),
+        ({"rows": 21}, "rows of a part"),
+        ({"crs": "EPSG:32632"}, "output"),
+        ({"observed": survey(60, (2 * SIDE, 3 * SIDE), seed=1)}, "frames"),
+    ],
+)
+def test_another_run_does_not_go_to_the_same_folder(tmp_path, frames: Observations, change, named: str) -> None:
+    given = {"observed": frames, "terrain": GROUND, "rows": 20}
+    locate_frames(tmp_path, **given)  # pyright: ignore
+    before = content(tmp_path)
+    with pytest.raises(ValueError, match=f"with other {named}"):
+        locate_frames(tmp_path, **(given | change))
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("name, text", [("notes.txt", "mine"), (MANIFEST, "{"), (MANIFEST, '{"kind": "maps"}')])
+def test_a_folder_of_something_else_is_left_alone(tmp_path, frames: Observations, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match="another"):
+        locate_frames(tmp_path, frames, GROUND)
+    assert [path.read_text() for path in tmp_path.iterdir()] == [text]
+
+
+def test_a_missing_tile_stops_only_its_parts(tmp_path: pathlib.Path, frames: Observations) -> None:
+    tiles = write_tiles(tmp_path, down=1, across=3, posts=300)
+    frames = survey(40, (9000.0, 27000.0), seed=3)
+    known = functools.partial(open_dem, tiles, vertical_datum="ellipsoid", height_range=(200.0, 1000.0))
+    files = known()
+    away = shutil.move(tiles[0], tmp_path / "away.tif")
+    with pytest.raises(PartsFailed, match=r"of 8 parts failed.*tile_0_0\.tif") as told:
+        locate_frames(tmp_path / "fixes", frames, files, rows=5)
+    failed = set(told.value.failed)
+    assert 0 < len(failed) < 8
+    listed = json.loads((tmp_path / "fixes" / MANIFEST).read_text())["parts"]
+    assert (
+        {one["file"] for one in listed if not one["whole"]}
+        == failed
+        == {one["file"] for one in listed if "failed" in one}
+    )
+    shutil.move(away, tiles[0])
+    again = locate_frames(tmp_path / "fixes", frames, known(), rows=5)
+    assert again.computed == len(failed)
+    locate_frames(tmp_path / "whole", frames, files, rows=5)
+    assert content(tmp_path / "fixes") == content(tmp_path / "whole")
+
+
+def test_ground_that_is_too_large_is_a_row_with_its_reason(frames: Observations, tiles) -> None:
+    some = frames.part(0, np.arange(20))
+    files = open_dem(tiles, vertical_datum="ellipsoid")
+    usual = locate_over_files(some, files)
+    widths = locate_over_files(some, files, max_posts=60)
+    too_large = np.array([one is not None for one in widths.reasons])
+    assert 0 < too_large.sum() < 20
+    assert "max_posts=60" in next(filter(None, widths.reasons))
+    assert (widths.fixes.status[too_large] == Status.leaves_terrain).all()
+    assert np.array_equal(widths.fixes.status[~too_large], usual.fixes.status[~too_large])
+
+
+def test_bent_rays_are_refused_over_a_dem_on_disk(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
+    bent = frames.with_atmosphere(jaxgeo.Atmosphere())
+    with pytest.raises(ValueError, match="atmosphere"):
+        locate_frames(tmp_path, bent, open_dem(tiles, vertical_datum="ellipsoid"))
+
+
+@pytest.mark.parametrize("given", [{"rows": 0}, {"margin": -1.0}, {"margin": float("nan")}])
+def test_wrong_numbers_are_refused(tmp_path: pathlib.Path, frames: Observations, given: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(given))} must be"):
+        locate_frames(tmp_path / "fixes", frames, GROUND, **given)
+    assert not (tmp_path / "fixes").exists()
+
+
+@pytest.mark.parametrize(
+    "name, error, words",
+    [("lokal", FileNotFoundError, "local:4"), ("tcp://127.0.0.1:9", ConnectionError, "dask scheduler")],
+)
+def test_a_cluster_that_is_not_there(name: str, error: type[Exception], words: str) -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(error, match=f'cluster "{name}".*{words}'), connect(name, timeout=0.5):
+        raise AssertionError("connected")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [0.5, 40.0])
+def test_accuracy_is_that_over_the_whole_mosaic(frames: Observations, tiles, sigma: float) -> None:
+    """With little and with much error: then windows grow."""
+    some = survey(20, (2 * SIDE, 3 * SIDE), sigma=sigma)
+    files, dem = open_dem(tiles, vertical_datum="ellipsoid"), read_dem(tiles, vertical_datum="ellipsoid")
+    found = locate_over_files(some, files, AccuracyOptions(0.9, 500), margin=20.0)
+    fixes = jaxgeo.io.locate_observations(some, dem)
+    whole = jaxgeo.io.accuracy_of_observations(some, dem, fixes, count=500)
+    assert found.accuracy is not None
+    assert whole is not None
+    assert np.array_equal(found.accuracy.method, whole.method)
+    assert len({*np.asarray(whole.method).tolist()} - {-1}) > 0
+    for name in ("circular", "linear", "spherical", "failed"):
+        np.testing.assert_allclose(getattr(found.accuracy, name), getattr(whole, name), rtol=1e-6, err_msg=name)
