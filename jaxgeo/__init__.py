@@ -66,7 +66,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import adjust, coverage, io, ortho, plot, register
+    from jaxgeo import adjust, cluster, coverage, io, ortho, plot, register
     from jaxgeo.terrain import Bisection
 
 __all__ = [
@@ -103,6 +103,7 @@ __all__ = [
     "adjust",
     "at_range",
     "circular_error",
+    "cluster",
     "compare",
     "coverage",
     "enable_x64",
@@ -127,6 +128,7 @@ DEPRECATED = {"SweepCamera": "WhiskbroomCamera"}
 _renamed = renamed(__name__, DEPRECATED)
 _ON_DEMAND = (
     "adjust",
+    "cluster",
     "coverage",
     "io",
     "ortho",

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import jax
 
 from jaxgeo._parallel import version
-from jaxgeo._program_cache import keep_programs
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -82,6 +81,8 @@ def prepare(client: Client) -> None:
     Raises `RuntimeError` for workers with another version of jaxgeo, or without it.
     """
     _distributed()
+    from jaxgeo.cluster.worker_setup import WorkerSetup
+
     is_x64 = bool(jax.config.jax_enable_x64)  # pyright: ignore
     found: Any = client.run(_version_there)
     others = {address: one for address, one in found.items() if one != version()}
@@ -92,7 +93,7 @@ def prepare(client: Client) -> None:
             f"{len(others)} of {len(found)} workers have another version: {address} has {has}, this process "
             f"{version()}. Install the same on all, and start them again."
         )
-    client.register_plugin(_setup_class()(is_x64), name=SETUP)
+    client.register_plugin(WorkerSetup(is_x64), name=SETUP)
 
 
 def _version_there() -> str:
@@ -103,21 +104,6 @@ def _version_there() -> str:
         return importlib.metadata.version("jaxgeo")
     except importlib.metadata.PackageNotFoundError:
         return ""
-
-
-def _setup_class() -> Any:
-    """The plugin of workers, a class of the library that is imported on call."""
-    from distributed import WorkerPlugin
-
-    class Setup(WorkerPlugin):
-        def __init__(self, is_x64: bool) -> None:
-            self.is_x64 = is_x64
-
-        def setup(self, worker: Any) -> None:
-            jax.config.update("jax_enable_x64", self.is_x64)
-            keep_programs()
-
-    return Setup
 
 
 def _cores() -> int:

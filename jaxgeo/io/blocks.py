@@ -122,11 +122,11 @@ class Blocks:
 
     def known(self) -> dict[str, np.ndarray]:
         """The known bounds and the identity of their files, for `take`."""
-        return {"identity": np.array(self._identity()), **{name: getattr(self, name) for name in FIELDS}}
+        return {"identity": np.array(self.identity()), **{name: getattr(self, name) for name in FIELDS}}
 
     def take(self, held: Mapping[str, np.ndarray]) -> bool:
         """Adopt `known` bounds of another process if they are of the same, unchanged files; returns whether it did."""
-        if str(held["identity"]) != self._identity():
+        if str(held["identity"]) != self.identity():
             return False
         for name in FIELDS:
             getattr(self, name)[...] = held[name]
@@ -138,7 +138,7 @@ class Blocks:
         try:
             with np.load(cache) as held:
                 _check_size(held, "identity", 100 * HEADER)
-                if str(held["identity"]) != self._identity():
+                if str(held["identity"]) != self.identity():
                     return
                 for name in FIELDS:
                     _check_size(held, name, getattr(self, name).nbytes + HEADER)
@@ -149,7 +149,7 @@ class Blocks:
             ) from error
         self._saved = int(self.is_read.sum())
 
-    def _identity(self) -> str:
+    def identity(self) -> str:
         """Key of the files, their times and sizes, and the reading options."""
         source = self.source
         files = [

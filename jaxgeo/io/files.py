@@ -114,6 +114,8 @@ class DemFiles:
         self._void_ceiling = void_ceiling
         self._sizes: list[tuple[int, int]] = []
         self._whole: DemFiles | None = None
+        self.identity = f"{blocks.identity()} {(void_ceiling, blocks.height_range, f'{dtype}')}"
+        """Key of the files, with their times and sizes, and of the options that change what is read from them."""
         self.grid: AbstractGrid | None = None
         with contextlib.suppress(DemError):  # too large for one fitted map: fit one per window
             self.grid = make_grid(source.name, source.mapping)[0]
@@ -137,12 +139,6 @@ class DemFiles:
             f"DemFiles({self.source.name}: {rows} x {cols} posts, {self.source.mosaic.first.crs.name}, heights from "
             f"{self.source.shift.name}; bounds known of {known:.0f} % of it)"
         )
-
-    @property
-    def identity(self) -> str:
-        """Key of the files, with their times and sizes, and of the options that change what is read from them."""
-        options = self._void_ceiling, self.blocks.height_range, f"{self.dtype}"
-        return f"{self.blocks.known()['identity']} {options}"
 
     @property
     def shape(self) -> tuple[int, int]:
