@@ -124,8 +124,10 @@ READING = (
     "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84 --allow-remote "
     "--allow-outside"
 )
+MANY = "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
 PARSED = [  # whose files are not made here, or whose work is that of lines that are run
+    MANY,
     f"locate {SCENE} {READING}",
     f"report {SCENE} {READING} -o out.html",
     f"footprint {SCENE} {READING}",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from jaxgeo.cluster.client import connect
+from jaxgeo.cluster.client import connect, prepare
 from jaxgeo.cluster.frames import locate_frames, statuses_of
 from jaxgeo.cluster.parts import PartsFailed, Run
 
-__all__ = ["PartsFailed", "Run", "connect", "locate_frames", "statuses_of"]
+__all__ = ["PartsFailed", "Run", "connect", "locate_frames", "prepare", "statuses_of"]
