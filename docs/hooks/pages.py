@@ -32,6 +32,7 @@ ORDER = (
     "bundle_adjustment",
     "registration",
     "new_sensor",
+    "many_frames",
 )
 LIST = "<!-- tutorials -->"
 PICTURES = {"image/png": "png", "image/jpeg": "jpg"}
