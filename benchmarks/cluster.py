@@ -22,6 +22,7 @@ import statistics
 import sys
 import tempfile
 import time
+import tracemalloc
 from typing import Any
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "tests"))
@@ -31,25 +32,34 @@ from support.survey import survey, write_tiles
 
 import jaxgeo
 from jaxgeo.cluster import connect, locate_frames
-from jaxgeo.cluster.frames import parts_of
+from jaxgeo.cluster.frames import Setting, identity, parts_of
 from jaxgeo.io import open_dem
+from jaxgeo.io.fix_parts import FixParts
 
 DOWN, ACROSS, POSTS = 5, 8, 200
 SIZE = (DOWN * POSTS * 30.0, ACROSS * POSTS * 30.0)  # m
 MANY = 100_000
 
 
-def resident() -> float:
-    """Peak memory of this process, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000.0
-
-
 def plan(files: Any, rows: int) -> dict[str, float]:
+    """What `locate_frames` does before the first part is computed; memory is that of Python and NumPy."""
     observed = survey(MANY, SIZE)
-    parts_of(survey(10, SIZE), files, rows)  # compiles
-    before, start = resident(), time.perf_counter()
+    _planned(survey(10, SIZE), files, rows)  # compiles
+    start = time.perf_counter()
+    parts = _planned(observed, files, rows)
+    took = time.perf_counter() - start
+    tracemalloc.start()
+    _planned(observed, files, rows)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return {"frames": MANY, "parts": len(parts), "s": took, "peak_MB": 1e-6 * peak}
+
+
+def _planned(observed: Any, files: Any, rows: int) -> list[Any]:
+    output = FixParts.of(observed.position, observed.columns, probability=0.9)
     parts = parts_of(observed, files, rows)
-    return {"frames": MANY, "parts": len(parts), "s": time.perf_counter() - start, "MB": resident() - before}
+    identity(observed, files, Setting(pathlib.Path(), output, files, None, 0.0), rows)
+    return parts
 
 
 def scheduler(tasks: int = 2000) -> dict[str, float]:

@@ -122,7 +122,7 @@ def locate_frames(
         shared = None
     setting = Setting(pathlib.Path(folder).absolute(), files, shared, options, float(margin))
     names = named("part-", len(each), ".parquet")
-    parts = Parts(setting.folder, KIND, _identity(observed, terrain, setting, int(rows)), names)
+    parts = Parts(setting.folder, KIND, identity(observed, terrain, setting, int(rows)), names)
     missing = set(parts.open())
     given = {name: part for name, part in zip(names, each, strict=True) if name in missing}
     work = Work(_located_parts, setting)
@@ -177,7 +177,7 @@ def _spread_bits(numbers: np.ndarray) -> np.ndarray:
     return found
 
 
-def _identity(observed: Observations, terrain: Any, setting: Setting, rows: int) -> dict[str, str]:
+def identity(observed: Observations, terrain: Any, setting: Setting, rows: int) -> dict[str, str]:
     """What results depend on, by name."""
     batches = [(one.observation, one.sources, one.rows, one.is_one_camera) for one in observed.batches]
     ground, out = terrain.identity if isinstance(terrain, DemFiles) else terrain, setting.files
