@@ -5,6 +5,16 @@ from __future__ import annotations
 from jaxgeo.cluster.client import connect, prepare
 from jaxgeo.cluster.datasets import locate_dataset
 from jaxgeo.cluster.frames import locate_frames, statuses_of
+from jaxgeo.cluster.orthophotos import rectify_frames
 from jaxgeo.cluster.parts import PartsFailed, Run
 
-__all__ = ["PartsFailed", "Run", "connect", "locate_dataset", "locate_frames", "prepare", "statuses_of"]
+__all__ = [
+    "PartsFailed",
+    "Run",
+    "connect",
+    "locate_dataset",
+    "locate_frames",
+    "prepare",
+    "rectify_frames",
+    "statuses_of",
+]

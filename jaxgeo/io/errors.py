@@ -42,6 +42,10 @@ class WindowTooLarge(DemError):
     """Terrain that rays can touch is larger than the caller allows."""
 
 
+class NothingSeen(ValueError):
+    """An image that shows none of the ground asked for."""
+
+
 class OutsideDatum(ValueError):
     """A position outside a vertical datum's grid; readers that catch it add the file's name."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import os
 import pathlib
 from collections.abc import Callable
@@ -212,21 +213,58 @@ class DemFiles:
         top = self.ceiling + 1.0 if self._knows_range() else POSSIBLE_HEIGHTS[1]
         return sightlines(flat, self.source.mapping, self.grid, self.blocks, top, lambda: self.void_ceiling)
 
-    def window_under(self, path: Sightlines) -> tuple[Window | None, bool]:
+    def window_under(self, path: Sightlines, area: Window | None = None, margin: int = 0) -> tuple[Window | None, bool]:
         """The smallest window for all rays of `path`, and whether it needs the whole mosaic's ceiling.
 
-        None where no ray passes over the mosaic. If a window's own highest ground is its ceiling, it must hold the rays
-        from that height down; growing it may raise the ceiling, so this iterates.
+        It holds an `area`, too, and `margin` posts more on every side. None where no ray passes over the mosaic. If a
+        window's own highest ground is its ceiling, it must hold the rays from that height down; growing it may raise
+        the ceiling, so this iterates.
         """
+
+        def enlarged(own: Window) -> Window:
+            return self.wider(own if area is None else own.joined(self._near(area, own)), margin)
+
         if not path.is_simple[path.exists].all():
-            return self._around(path, self.ceiling), True
+            window = self._around(path, self.ceiling)
+            return None if window is None else enlarged(window), True
         window = self._around(path, -np.inf)
         while window is not None:
-            larger = self._around(path, self._ceiling_of(window))
+            larger = self._around(path, self._ceiling_of(enlarged(window)))
             if larger == window:
-                break
+                return enlarged(window), False
             window = larger
-        return window, False
+        return None, False
+
+    def window_of_places(self, lon: np.ndarray, lat: np.ndarray) -> Window | None:
+        """The smallest window with the ground at positions (n,) in deg; None if none lies on the mosaic."""
+        row, col = self.source.mapping.rowcol(lon, lat)
+        if self.blocks.turn is not None:
+            col = np.remainder(col, self.blocks.turn)
+            if np.ptp(col) > 0.5 * self.blocks.turn:  # across the seam
+                col = np.where(col < 0.5 * self.blocks.turn, col + self.blocks.turn, col)
+        (rows, cols), turn = self.shape, self.blocks.turn
+        inside = np.isfinite(row) & np.isfinite(col) & (row > -1.0) & (row < rows)
+        inside &= (col > -1.0) & ((col < cols) if turn is None else True)
+        if not inside.any():
+            return None
+        r0, c0 = (math.floor(x[inside].min()) - 1 for x in (row, col))
+        r1, c1 = (math.floor(x[inside].max()) + 3 for x in (row, col))
+        return self.wider(Window(r0, c0, r1, c1), 0)
+
+    def _near(self, area: Window, window: Window) -> Window:
+        """An area, on a mosaic around the Earth moved by whole turns so that it lies beside a window."""
+        if self.blocks.turn is None:
+            return area
+        off = 0.5 * (window.col + window.stop_col - area.col - area.stop_col)
+        return area.moved(0, round(off / self.blocks.turn) * self.blocks.turn)
+
+    @property
+    def middle_grid(self) -> AbstractGrid:
+        """The grid of the whole mosaic, or where none matches it, that of its middle."""
+        if self.grid is not None:
+            return self.grid
+        row, col = (max(n // 2 - 1, 0) for n in self.shape)
+        return self._grid_of(Window(row, col, row + 2, col + 2))
 
     def posts_of(self, window: Window, metres: float) -> int:
         """Number of posts that a distance in m takes in the middle of a window, along the finer axis."""
@@ -337,6 +375,8 @@ class DemFiles:
             col, stop_col = max(col, 0), min(stop_col, cols)
         elif stop_col - col >= turn:
             col, stop_col = 0, turn + 2
+        else:
+            col, stop_col = col % turn, col % turn + stop_col - col
         return Window(max(window.row - margin, 0), col, min(window.stop_row + margin, rows), stop_col)
 
     def _grid_of(self, window: Window) -> AbstractGrid:

@@ -82,11 +82,8 @@ def locate_files(
     pixels = as_float64(as_array(uv, "uv"), "uv")
     if pixels.shape[-1:] != (2,):
         raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
-    flat = np.asarray(pixels).reshape(-1, 2)
-    origin, direction, status = _lines_of_sight(*moving, jnp.asarray(flat))
-    seen = np.asarray(status) == Status.hit
-    away = np.array([1.0, 0.0, 0.0])
-    rays = Ray(np.where(seen[:, None], origin, 3e7 * away), np.where(seen[:, None], direction, away))
+    rays, status = lines_of_sight(*moving, np.asarray(pixels).reshape(-1, 2))
+    seen = status == Status.hit
     fix = intersect_files(Ray(jnp.asarray(rays.origin), jnp.asarray(rays.direction)), files, max_posts=max_posts)
     fix = Fix(*(getattr(fix, name) for name in _NUMBERS), status=jnp.where(seen, fix.status, status))
     return jax.tree.map(lambda x: x.reshape(pixels.shape[:-1] + x.shape[1:]), fix)
@@ -94,6 +91,14 @@ def locate_files(
 
 _NUMBERS = ("position", "ecef", "slant_range", "incidence_ellipsoid", "incidence_surface", "slope")
 _hits = jax.jit(jax.vmap(intersect, in_axes=(0, None)))
+
+
+def lines_of_sight(sensor: Sensor, shot: Shot | Trajectory, time: Any, uv: np.ndarray) -> tuple[Ray, np.ndarray]:
+    """Lines of sight of pixels (n, 2) in ECEF, and the status of each; without one they point away from the Earth."""
+    origin, direction, status = (np.asarray(x) for x in _lines_of_sight(sensor, shot, time, jnp.asarray(uv)))
+    seen = (status == Status.hit)[:, None]
+    away = np.array([1.0, 0.0, 0.0])
+    return Ray(np.where(seen, origin, 3e7 * away), np.where(seen, direction, away)), status
 
 
 @jax.jit

@@ -18,8 +18,10 @@ from rasterio.transform import Affine
 from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import locate
 from jaxgeo.earth import WGS84
+from jaxgeo.io._outlines import outline
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, Operation, known_crs, operation
-from jaxgeo.io.errors import DemError
+from jaxgeo.io.errors import DemError, NothingSeen
+from jaxgeo.io.files import DemFiles
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.vertical import horizontal_part
@@ -28,6 +30,8 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
+ALONG = 4  # places along a side of the outline of a raster
+PLACES = 7  # decimals of its longitudes and latitudes: a centimetre
 LATTICE = 65  # samples per side of the image or terrain, to find the extent
 MARGIN = 0.01  # of the extent: margin, since the edge between lattice pixels may reach farther
 MOST_CELLS = 4_000_000  # cells of a raster with the terrain's default resolution
@@ -112,6 +116,25 @@ def map_of(name: str, raster: MapRaster, *, assume_wgs84: bool = False) -> FileM
     return file_map(name, raster.crs, centred, raster.shape, assume_wgs84=assume_wgs84)
 
 
+def outline_of(name: str, raster: MapRaster) -> tuple[dict[str, Any], list[float]]:
+    """The outline of a raster in longitude and latitude in deg, as a GeoJSON geometry, and its box (west, south, east,
+    north), in which west is greater than east where it crosses 180 deg."""
+    rows, cols = raster.shape
+    t = np.linspace(0.0, 1.0, ALONG, endpoint=False)
+    row = rows * np.concatenate([0.0 * t, t, 0.0 * t + 1.0, 1.0 - t]) - 0.5
+    col = cols * np.concatenate([1.0 - t, 0.0 * t, t, 0.0 * t + 1.0]) - 0.5
+    lon, lat = map_of(name, raster).lonlat(row, col)
+    places = np.round(np.stack([np.remainder(lon + 180.0, 360.0) - 180.0, lat], axis=1), PLACES)
+    shape = outline(places[np.isfinite(places).all(axis=1)], 360.0)
+    parts = [part.bounds for part in getattr(shape, "geoms", [shape])]
+    west, south, east, north = (
+        f(edges) for f, edges in zip((min, min, max, max), zip(*parts, strict=True), strict=True)
+    )
+    if len(parts) > 1 and west == -180.0 and east == 180.0:
+        west, east = max(one[0] for one in parts), min(one[2] for one in parts)
+    return shape.__geo_interface__, [west, south, east, north]
+
+
 def grid_of(raster: MapRaster, name: str = "raster") -> AbstractGrid:
     """The grid of a raster's cell centres on the Earth; row and column 0 are those of the first cell's centre.
 
@@ -134,18 +157,18 @@ def checked_target(path: str | os.PathLike[str], what: str) -> pathlib.Path:
 
 def terrain_spacing(name: str, terrain: Any) -> Spacing:
     """The terrain's own post spacing."""
-    if not isinstance(terrain, Dem):
+    if not isinstance(terrain, Dem | DemFiles):
         raise ValueError(
             f"{name}: a {type(terrain).__name__} has no spacing; name the size of a cell with resolution=."
         )
-    metres = float(np.sqrt(np.prod(np.asarray(terrain.grid.cell_size()))))
-    return Spacing(metres, "terrain's spacing", MOST_CELLS)
+    grid = terrain.grid if isinstance(terrain, Dem) else terrain.middle_grid
+    return Spacing(float(np.sqrt(np.prod(np.asarray(grid.cell_size())))), "terrain's spacing", MOST_CELLS)
 
 
 def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain, how: Mapping[str, Any]) -> Spacing:
     """Ground sample distance at the image centre: side of a square with the area of a pixel's horizontal footprint.
 
-    The median over the lattice meshes nearest to the centre that see ground. Raises `ValueError`.
+    The median over the lattice meshes nearest to the centre that see ground. Raises `NothingSeen`.
     """
     uv, lon, lat, seen = _seen(sensor, shot, terrain, how)
     if not seen.any():
@@ -157,7 +180,7 @@ def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain
     area = 0.5 * np.abs(falling[0] * rising[1] - falling[1] * rising[0]).ravel()
     usable = np.flatnonzero(np.isfinite(area) & (area > 0.0))
     if not usable.size:
-        raise ValueError(f"{name}: too little of the image sees ground to tell its sampling; name resolution=.")
+        raise NothingSeen(f"{name}: too little of the image sees ground to tell its sampling; name resolution=.")
     pixels = uv.reshape(LATTICE, LATTICE, 2)
     off = np.linalg.norm((pixels[1:, 1:] + pixels[:-1, :-1]) / 2.0 - uv.mean(axis=0), axis=-1).ravel()
     nearest = usable[np.argsort(off[usable], kind="stable")[:MIDDLE]]
@@ -180,13 +203,7 @@ def checked_crs(name: str, crs: Any) -> pyproj.CRS:
 def _area(name: str, sensor: Sensor, shot: Any, terrain: Any, how: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """Longitudes and latitudes in deg of the area to cover, without a jump between them."""
     if isinstance(shot, Pose):
-        if not isinstance(terrain, Dem):
-            raise ValueError(f"{name}: a {type(terrain).__name__} has no edge; name the area with crs= and bounds=.")
-        last = np.asarray(terrain.extent) - 1.0
-        t = np.linspace(0.0, 1.0, LATTICE)
-        rowcol = np.stack(np.meshgrid(t * last[0], t * last[1], indexing="ij"), axis=-1).reshape(-1, 2)
-        x, y, z = np.asarray(_normals(terrain, jnp.asarray(rowcol))).T
-        lat, lon = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+        lon, lat = _all_of(name, terrain)
     else:
         _, lon, lat, seen = _seen(sensor, shot, terrain, how)
         if not seen.any():
@@ -195,14 +212,30 @@ def _area(name: str, sensor: Sensor, shot: Any, terrain: Any, how: Mapping[str, 
     return lon[0] + np.remainder(lon - lon[0] + 180.0, 360.0) - 180.0, lat
 
 
+def _all_of(name: str, terrain: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes and latitudes in deg of a lattice over a terrain."""
+    if not isinstance(terrain, Dem | DemFiles):
+        raise ValueError(f"{name}: a {type(terrain).__name__} has no edge; name the area with crs= and bounds=.")
+    shape = terrain.extent if isinstance(terrain, Dem) else terrain.shape
+    row, col = (x.ravel() for x in np.meshgrid(*(np.linspace(0.0, n - 1.0, LATTICE) for n in shape), indexing="ij"))
+    if isinstance(terrain, DemFiles):
+        return terrain.source.mapping.lonlat(row, col)
+    x, y, z = np.asarray(_normals(terrain, jnp.asarray(np.stack([row, col], axis=-1)))).T
+    return np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+def lattice_of(camera: Any) -> np.ndarray:
+    """Pixels (n, 2) of a lattice over an image, its outer edges included, row by row."""
+    u, v = (np.linspace(-0.5, getattr(camera, side) - 0.5, LATTICE) for side in ("width", "height"))
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+
 def _seen(
     sensor: Sensor, shot: Any, terrain: AbstractTerrain, how: Mapping[str, Any]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Pixels (n, 2) of a lattice over the image, row by row, the longitudes and latitudes in deg of their ground
     points, NaN if there is none, and the mask of those with one."""
-    width, height = (getattr(sensor.camera, side) for side in ("width", "height"))
-    u, v = np.linspace(-0.5, width - 0.5, LATTICE), np.linspace(-0.5, height - 0.5, LATTICE)
-    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    uv = lattice_of(sensor.camera)
     options = {key: how[key] for key in ("time", "search", "atmosphere") if key in how}
     lat, lon, status = (np.asarray(x) for x in _located(sensor, shot, jnp.asarray(uv), terrain, options))
     seen = status == Status.hit
@@ -210,8 +243,8 @@ def _seen(
     return uv, lon, lat, seen
 
 
-def _sees_nothing(name: str) -> ValueError:
-    return ValueError(f"{name}: no line of sight of the image comes down on the terrain; there is nothing to map.")
+def _sees_nothing(name: str) -> NothingSeen:
+    return NothingSeen(f"{name}: no line of sight of the image comes down on the terrain; there is nothing to map.")
 
 
 @long_run_filter_jit

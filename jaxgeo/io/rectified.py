@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import check_no_input
+from jaxgeo.io.errors import NothingSeen
 from jaxgeo.io.images import Bands, check_size, read_image
 from jaxgeo.io.map_raster import MapRaster, checked_target, grid_of, image_spacing, raster_of
 from jaxgeo.io.ortho_writer import OrthoWriter
@@ -141,7 +142,7 @@ def _raster(
 def _written(
     rectifier: Rectifier, raster: MapRaster, progress: bool, sink: OrthoWriter, codes_sink: OrthoWriter | None
 ) -> _Counts:
-    """Write all tiles. Raises `ValueError` if none contains anything of the image."""
+    """Write all tiles. Raises `NothingSeen` if none contains anything of the image."""
     counts = _Counts()
     total = int(np.prod([-(-n // TILE) for n in raster.shape]))
     tiles = tiles_of(rectifier, raster.shape)
@@ -152,7 +153,7 @@ def _written(
             codes_sink.write(rows.start, cols.start, tile.status[None])
     if not counts.known:
         why = ", ".join(f"{count} {one.name}" for one, count in counts.named().items())
-        raise ValueError(
+        raise NothingSeen(
             f"{sink.target}: the image shows none of the {raster.shape[0]} x {raster.shape[1]} cells ({why}); nothing "
             f"is written. Look at the pose, and at bounds= or like=."
         )

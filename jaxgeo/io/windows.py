@@ -33,6 +33,11 @@ class Window:
         """(rows, cols)."""
         return self.stop_row - self.row, self.stop_col - self.col
 
+    def joined(self, other: Window) -> Window:
+        """The smallest window that holds both."""
+        first = min(self.row, other.row), min(self.col, other.col)
+        return Window(*first, max(self.stop_row, other.stop_row), max(self.stop_col, other.stop_col))
+
     def moved(self, row: int, col: int) -> Window:
         """The same window, counted from a post `row`, `col` earlier."""
         return Window(self.row + row, self.col + col, self.stop_row + row, self.stop_col + col)

@@ -125,7 +125,7 @@ def scheduler(_: pathlib.Path) -> None:
 
 
 EXTRAS = {
-    "cluster": Extra(("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "yaml"), (scheduler,)),
+    "cluster": Extra(("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pystac", "yaml"), (scheduler,)),
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),

@@ -1,0 +1,155 @@
+"""Index of rasters in a folder: STAC items, their collection, and a VRT mosaic."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+
+from jaxgeo._partial import partial_file
+from jaxgeo.io.map_raster import MapRaster, outline_of
+from jaxgeo.io.vrt_writer import Affine, Bands, MosaicFile, write_vrt
+
+COLLECTION, ITEMS, MOSAIC = "collection.json", "items.json", "mosaic"
+# A time that is not known lies between these; STAC has no word for it, and some readers no earlier time.
+EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=timezone.utc) for year in (1900, 2100))
+EXTENSIONS = (
+    "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
+    "https://stac-extensions.github.io/raster/v1.1.0/schema.json",
+)
+COG = "image/tiff; application=geotiff; profile=cloud-optimized"
+TIFF = "image/tiff; application=geotiff"
+
+
+def check_catalogue() -> Any:
+    """The library for STAC. Raises `ImportError` without the extra."""
+    try:
+        import pystac
+    except ImportError:
+        raise ImportError("catalogues of maps need the library pystac: pip install 'jaxgeo[cluster]'") from None
+    return pystac
+
+
+def write_item(
+    path: pathlib.Path,
+    assets: Mapping[str, tuple[str, Bands]],
+    raster: MapRaster | None,
+    properties: Mapping[str, Any],
+    taken: datetime | None,
+    *,
+    cog: bool,
+) -> None:
+    """Write the STAC item of files in its folder: `assets` are (file, bands) by key, `raster` the cells of all.
+
+    Without a raster the item has no place. The file appears only when complete.
+    """
+    pystac = check_catalogue()
+    geometry, box, own = None, None, {}
+    if raster is not None:
+        geometry, box = outline_of(f"{path}", raster)
+        code = raster.crs.to_epsg()
+        own = {"proj:epsg": code} if code else {"proj:epsg": None, "proj:wkt2": raster.crs.to_wkt()}
+        own |= {"proj:shape": list(raster.shape), "proj:transform": [*map(float, raster.transform[:6]), 0.0, 0.0, 1.0]}
+    span = {} if taken is not None else {"start_datetime": EARLIEST, "end_datetime": LATEST}
+    extensions = list(EXTENSIONS) if raster is not None else []
+    item = pystac.Item(path.stem, geometry, box, taken, {**own, **properties}, stac_extensions=extensions, **span)
+    for key, (file, bands) in assets.items():
+        each = [_band(bands, number) for number in range(bands.count)]
+        extra = {"raster:bands": each}
+        item.add_asset(
+            key, pystac.Asset(f"./{file}", media_type=COG if cog else TIFF, roles=["data"], extra_fields=extra)
+        )
+    item.collection_id = path.parent.name
+    for relation in ("root", "parent", "collection"):
+        item.add_link(pystac.Link(relation, f"./{COLLECTION}", "application/json"))
+    write_json(path, item.to_dict(include_self_link=False, transform_hrefs=False))
+
+
+def _band(bands: Bands, number: int) -> dict[str, Any]:
+    nodata = None if bands.nodata is None else "nan" if np.isnan(bands.nodata) else bands.nodata
+    told = {"data_type": bands.dtype, "nodata": nodata}
+    told |= {"description": bands.names[number]} if bands.names else {}
+    told |= {"unit": bands.units[number]} if bands.units and bands.units[number] else {}
+    return {name: value for name, value in told.items() if value is not None}
+
+
+def read_json(path: pathlib.Path) -> Any:
+    """Content of a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write_json(path: pathlib.Path, content: Any) -> None:
+    """Write a JSON file that appears only when complete."""
+    with partial_file(path) as partial:
+        partial.write_text(json.dumps(content, ensure_ascii=False, indent=1), encoding="utf-8")
+        os.replace(partial, path)
+
+
+def write_catalogue(folder: pathlib.Path, items: Sequence[str], description: str) -> list[Any]:
+    """Write the collection of all items, by file name, and all of them as one feature collection; returns them."""
+    pystac = check_catalogue()
+    each = [read_json(folder / name) for name in items]
+    boxes = [one["bbox"] for one in each if one.get("bbox")]
+    times = sorted(_times(each))
+    extent = pystac.Extent(
+        pystac.SpatialExtent([_around(boxes)]),
+        pystac.TemporalExtent([[times[0], times[-1]]] if times else [[None, None]]),
+    )
+    collection = pystac.Collection(folder.name, description, extent)
+    collection.add_link(pystac.Link("root", f"./{COLLECTION}", "application/json"))
+    for name in items:
+        collection.add_link(pystac.Link("item", f"./{name}", "application/geo+json"))
+    write_json(folder / ITEMS, {"type": "FeatureCollection", "features": each})
+    write_json(folder / COLLECTION, collection.to_dict(include_self_link=False, transform_hrefs=False))
+    return each
+
+
+def _times(items: Sequence[Any]) -> list[datetime]:
+    """Known times of items."""
+    found = [one["properties"].get("datetime") for one in items]
+    return [datetime.fromisoformat(one) for one in found if one]
+
+
+def _around(boxes: Sequence[Sequence[float]]) -> list[float]:
+    """The box of boxes (west, south, east, north) in deg; of all the Earth without any, or where some cross 180 deg."""
+    if not boxes or any(west > east for west, _, east, _ in boxes):
+        return [
+            -180.0,
+            min([box[1] for box in boxes], default=-90.0),
+            180.0,
+            max([box[3] for box in boxes], default=90.0),
+        ]
+    west, south, east, north = np.array(boxes).T
+    return [float(west.min()), float(south.min()), float(east.max()), float(north.max())]
+
+
+def mosaic_file(item: Mapping[str, Any], asset: str, crs: Any) -> tuple[MosaicFile, Bands] | None:
+    """The file of an asset, and its bands, as an item tells them; None for an item without it."""
+    if asset not in item["assets"]:
+        return None
+    own, place = item["assets"][asset], item["properties"]
+    first, each = own["raster:bands"][0], own["raster:bands"]
+    nodata = None if first.get("nodata") is None else float(first["nodata"])
+    names, units = (tuple(one.get(key, "") for one in each) for key in ("description", "unit"))
+    bands = Bands(len(each), first["data_type"], nodata, names if any(names) else (), units if any(units) else ())
+    raster = MapRaster(crs, Affine(*place["proj:transform"][:6]), tuple(place["proj:shape"]))
+    return MosaicFile(own["href"], raster), bands
+
+
+def write_mosaics(
+    folder: pathlib.Path,
+    files: Sequence[tuple[MosaicFile, Bands]],
+    tags: Mapping[str, str] | None = None,
+) -> None:
+    """Write a VRT of all files: `mosaic.vrt`; those with other bands than the first go to `mosaic-2.vrt`, and so on."""
+    kinds: dict[Bands, list[MosaicFile]] = {}
+    for file, bands in files:
+        kinds.setdefault(bands, []).append(file)
+    for number, (bands, some) in enumerate(kinds.items(), 1):
+        name = MOSAIC if number == 1 else f"{MOSAIC}-{number}"
+        write_vrt(folder / f"{name}.vrt", some, bands, tags)
