@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from jaxgeo.cluster.accuracy_tiles import accuracy_map
 from jaxgeo.cluster.client import connect, prepare
 from jaxgeo.cluster.datasets import locate_dataset
 from jaxgeo.cluster.frames import locate_frames, statuses_of
@@ -11,6 +12,7 @@ from jaxgeo.cluster.parts import PartsFailed, Run
 __all__ = [
     "PartsFailed",
     "Run",
+    "accuracy_map",
     "connect",
     "locate_dataset",
     "locate_frames",

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import pathlib
-from collections.abc import Mapping, Sequence
-from datetime import datetime, timezone
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
+from jaxgeo._parallel import Work
 from jaxgeo._partial import partial_file
-from jaxgeo.io.map_raster import MapRaster, outline_of
-from jaxgeo.io.vrt_writer import Affine, Bands, MosaicFile, write_vrt
+from jaxgeo.cluster.parts import Parts, PartsFailed, Run
+from jaxgeo.io.map_raster import MapRaster, outline_of, raster_with
+from jaxgeo.io.vrt_writer import Bands, MosaicFile, write_vrt
 
 COLLECTION, ITEMS, MOSAIC = "collection.json", "items.json", "mosaic"
 # A time that is not known lies between these; STAC has no word for it, and some readers no earlier time.
-EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=timezone.utc) for year in (1900, 2100))
+EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC) for year in (1900, 2100))
 EXTENSIONS = (
     "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
     "https://stac-extensions.github.io/raster/v1.1.0/schema.json",
@@ -90,6 +93,24 @@ def write_json(path: pathlib.Path, content: Any) -> None:
         os.replace(partial, path)
 
 
+def compute_and_list(
+    parts: Parts,
+    given: Mapping[str, Any],
+    work: Work,
+    client: Any,
+    progress: bool,
+    finish: Callable[[Sequence[str]], object],
+    count_of: Callable[[Any], int] = lambda _: 1,
+) -> Run:
+    """`Parts.compute` of missing parts; `finish`, which lists parts, is called with those that are whole even if others
+    failed. Raises `PartsFailed`."""
+    try:
+        return parts.compute(given, work, client, progress, finish, count_of)
+    except PartsFailed:
+        finish([name for name in parts.names if (parts.folder / name).exists()])
+        raise
+
+
 def write_catalogue(folder: pathlib.Path, items: Sequence[str], description: str) -> list[Any]:
     """Write the collection of all items, by file name, and all of them as one feature collection; returns them."""
     pystac = check_catalogue()
@@ -134,10 +155,11 @@ def mosaic_file(item: Mapping[str, Any], asset: str, crs: Any) -> tuple[MosaicFi
         return None
     own, place = item["assets"][asset], item["properties"]
     first, each = own["raster:bands"][0], own["raster:bands"]
-    nodata = None if first.get("nodata") is None else float(first["nodata"])
+    nodata = first.get("nodata")
+    nodata = math.nan if nodata == "nan" else nodata  # one NaN for all, which is equal to itself as a part of a key
     names, units = (tuple(one.get(key, "") for one in each) for key in ("description", "unit"))
     bands = Bands(len(each), first["data_type"], nodata, names if any(names) else (), units if any(units) else ())
-    raster = MapRaster(crs, Affine(*place["proj:transform"][:6]), tuple(place["proj:shape"]))
+    raster = raster_with(crs, place["proj:transform"][:6], place["proj:shape"])
     return MosaicFile(own["href"], raster), bands
 
 

@@ -9,13 +9,20 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo._digest import digest_of
 from jaxgeo._parallel import Work
-from jaxgeo.cluster.catalogue import check_catalogue, mosaic_file, read_json, write_catalogue, write_item, write_mosaics
+from jaxgeo.cluster.catalogue import (
+    check_catalogue,
+    compute_and_list,
+    mosaic_file,
+    read_json,
+    write_catalogue,
+    write_item,
+    write_mosaics,
+)
 from jaxgeo.cluster.frames import Ground, check_seen
 from jaxgeo.cluster.parts import Parts, Run, named
 from jaxgeo.io.errors import ImageError, NothingSeen, WindowTooLarge
@@ -28,7 +35,7 @@ from jaxgeo.io.map_raster import MapRaster, checked_crs
 from jaxgeo.io.observations import Observations
 from jaxgeo.io.rectified import RectifiedFile, rectify_file, status_file
 from jaxgeo.io.tiles import stamp_of
-from jaxgeo.io.vrt_writer import Bands, MosaicFile
+from jaxgeo.io.vrt_writer import Bands
 from jaxgeo.observation import Exposure
 from jaxgeo.ortho import AbstractInterpolation, Bilinear
 from jaxgeo.status import Status
@@ -119,7 +126,7 @@ def rectify_frames(
     missing = {*parts.open(), *_outdated(setting, names)}
     given = {name: row for row, name in enumerate(names) if name in missing}
     finish = functools.partial(_finish, where, cells.crs)
-    return parts.compute(given, Work(_frames, setting), client, progress, finish)
+    return compute_and_list(parts, given, Work(_frames, setting), client, progress, finish)
 
 
 def images_of(images: Path | Sequence[Path], observed: Observations) -> tuple[str | None, ...]:

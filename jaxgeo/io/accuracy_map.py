@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ from jaxgeo.uncertainty._accuracy_map import checked_map
 from jaxgeo.uncertainty.sampling import accepts_sampling_options
 
 COG = {"compress": "deflate", "predictor": "yes", "overview_resampling": "nearest"}
+UNITS = ("m", "m", "", "")
 
 
 @accepts_sampling_options
@@ -64,40 +66,58 @@ def write_accuracy_map(
     check_is(sensor, Sensor, "sensor")
     checked_map(sensor, shot, terrain, errors, **how)  # before lines of sight are located
     raster = raster_of(f"{target}", sensor, shot, terrain, crs, bounds, resolution, how)
-    found = accuracy_map(sensor, shot, terrain, errors, _cells(f"{target}", raster), **how)
-    _write(target, found, raster, cog)
+    cells = centres_of(f"{target}", raster)
+    if not np.isfinite(np.asarray(cells.lat)).any():
+        raise ValueError(
+            f"{target}: {raster.crs.name!r} maps none of the raster's cells; its bounds are in its own unit."
+        )
+    found = accuracy_map(sensor, shot, terrain, errors, cells, **how)
+    write_bands(target, bands_of(found), raster, found.probability, tags_of(found), cog)
     return found
 
 
-def _cells(name: str, raster: MapRaster) -> Geodetic:
+def centres_of(name: str, raster: MapRaster) -> Geodetic:
     """Positions (rows, cols) of cell centres; NaN outside the domain of the CRS."""
     mapping = map_of(name, raster)
     row, col = np.meshgrid(*(np.arange(float(n)) for n in raster.shape), indexing="ij")
     lon, lat = (x.reshape(raster.shape) for x in mapping.lonlat(row.ravel(), col.ravel()))
     known = np.isfinite(lon) & np.isfinite(lat)
-    if not known.any():
-        raise ValueError(
-            f"{name}: {raster.crs.name!r} maps none of the raster's cells; its bounds are in its own unit."
-        )
     lat, lon = (jnp.asarray(np.radians(np.where(known, x, np.nan))) for x in (lat, lon))
     return Geodetic(lat=lat, lon=lon, height=jnp.zeros_like(lat))
 
 
-def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: bool) -> None:
-    bands = np.stack([np.asarray(x, np.float32) for x in (found.circular, found.linear, found.method, found.status)])
+def bands_of(found: AccuracyMap) -> np.ndarray:
+    """The bands (4, ...) of a map."""
+    return np.stack([np.asarray(x, np.float32) for x in (found.circular, found.linear, found.method, found.status)])
+
+
+def band_names(probability: float) -> tuple[str, ...]:
+    """Names of the bands."""
+    percent = f"{100.0 * probability:g}"
+    return f"CE{percent}, m", f"LE{percent}, m", "verdict", "status"
+
+
+def write_bands(
+    target: pathlib.Path,
+    bands: np.ndarray,
+    raster: MapRaster,
+    probability: float,
+    tags: Mapping[str, str],
+    cog: bool,
+) -> None:
+    """Write the bands (4, rows, cols) of a map. The file appears only when complete; raises `OSError`."""
     rows, cols = raster.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 4, "height": rows, "width": cols, "nodata": np.nan}
     profile |= {"crs": raster.crs.to_wkt(), "transform": raster.transform, "compress": "deflate"}
-    percent = f"{100.0 * found.probability:g}"
     written = WrittenWindows((rows, cols))
     written.add(0, 0, bands, None)
     try:
         with partial_file(target) as partial:
             with rasterio.open(partial, "w", **profile) as sink:
                 sink.write(bands)
-                sink.descriptions = (f"CE{percent}, m", f"LE{percent}, m", "verdict", "status")
-                sink.units = ("m", "m", "", "")
-                sink.update_tags(**_tags(found))
+                sink.descriptions = band_names(probability)
+                sink.units = UNITS
+                sink.update_tags(**tags)
             whole = partial
             if cog:
                 whole = partial.with_name(f"{partial.name}.cog")
@@ -109,7 +129,8 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: boo
         raise OSError(f"{target}: the map cannot be written here: {error}") from error
 
 
-def _tags(found: AccuracyMap) -> dict[str, str]:
+def tags_of(found: AccuracyMap) -> dict[str, str]:
+    """What the codes of a map mean, the probability and the number of samples."""
     verdicts = [(NO_FIX, "no fix"), *((int(one), one.words) for one in Method)]
     return {
         "SOFTWARE": "jaxgeo",

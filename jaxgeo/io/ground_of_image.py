@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._arguments import checked_exposure
 from jaxgeo.io.errors import NothingSeen
 from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.locate_on_disk import lines_of_sight
 from jaxgeo.io.map_raster import MapRaster, image_spacing, lattice_of, map_of, raster_of
+from jaxgeo.io.sightlines import Sightlines
 from jaxgeo.io.windows import Window, padded_shape
-from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractTerrain, Dem
 
 ALONG = 65  # places along the sides of a raster, by which its window is known
@@ -23,7 +24,7 @@ POSTS, SHARE = 2, 0.02  # posts, and share of a window, beside it: for lines of 
 def image_raster(
     name: str,
     sensor: Sensor,
-    shot: Shot,
+    shot: Shot | Trajectory,
     terrain: AbstractTerrain | DemFiles,
     crs: Any = None,
     resolution: Any = None,
@@ -55,11 +56,7 @@ def image_raster(
     if not isinstance(terrain, DemFiles):
         return raster(terrain), terrain
     files = terrain.forgetful()
-    rays, _ = lines_of_sight(sensor, shot, jnp.asarray(0.0), lattice_of(sensor.camera))
-    path = files.follow(rays)
-    first, whole = files.window_under(path)
-    if first is None:
-        raise NothingSeen(f"{name}: no line of sight of the image comes near the ground of {files.source.name}.")
+    path, first, whole = window_of_image(files, name, sensor, shot)
     found = raster(load_window(files, first, whole, name, max_posts))
     area = files.window_of_places(*_places(name, found))
     margin = POSTS + math.ceil(SHARE * max(first.shape if area is None else first.joined(area).shape))
@@ -68,11 +65,31 @@ def image_raster(
     return found, load_window(files, window, whole, name, max_posts)
 
 
-def load_window(files: DemFiles, window: Window, whole: bool, name: str, max_posts: int) -> Dem:
-    """A window as a `Dem`, in arrays whose size depends on the window only. Raises `WindowTooLarge`."""
+def window_of_image(
+    files: DemFiles, name: str, sensor: Sensor, shot: Shot | Trajectory, time: Any = None
+) -> tuple[Sightlines, Window, bool]:
+    """(lines of sight of a lattice of an image, their window, whether it needs the whole mosaic's ceiling).
+
+    Raises `NothingSeen`.
+    """
+    rays, _ = lines_of_sight(*checked_exposure(sensor, shot, time), lattice_of(sensor.camera))
+    path = files.follow(rays)
+    window, whole = files.window_under(path)
+    if window is None:
+        raise NothingSeen(f"{name}: no line of sight of the image comes near the ground of {files.source.name}.")
+    return path, window, whole
+
+
+def load_window(files: DemFiles, window: Window, whole: bool, name: str, max_posts: int, side: int = 0) -> Dem:
+    """A window as a `Dem`, in arrays of a size that depends on the window only, of `side` posts or more.
+
+    Raises `WindowTooLarge`.
+    """
     if files.too_large(window, max_posts):
         raise files.refuse(window, max_posts, name)
-    return files.load(window, whole_ceiling=whole, max_posts=max_posts, size=padded_shape(window.shape))
+    rows, cols = padded_shape(window.shape)
+    size = max(rows, side), max(cols, side)
+    return files.load(window, whole_ceiling=whole, max_posts=max_posts, size=size)
 
 
 def _places(name: str, raster: MapRaster) -> tuple[np.ndarray, np.ndarray]:

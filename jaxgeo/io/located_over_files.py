@@ -162,7 +162,7 @@ def _answers(
         if own is None:
             yield rows, (fixes, None)
             return
-        beyond = _reach_beyond(own, margin)
+        beyond = reaches_beyond(own, margin)
         if is_too_large or taken.shape == files.shape or margin >= LARGEST:
             beyond = np.zeros_like(beyond)  # samples that leave the window count as without a fix
         if not beyond.all():
@@ -172,7 +172,7 @@ def _answers(
         rows, margin = rows[beyond], WIDER * max(margin, SMALLEST)
 
 
-def _reach_beyond(own: Accuracy, margin: float) -> np.ndarray:
+def reaches_beyond(own: Accuracy, margin: float) -> np.ndarray:
     """Which rows' errors may reach beyond a margin in m: by their radii, or by samples without a fix."""
     has_fix = np.asarray(own.method) >= 0
     largest = np.maximum(np.asarray(own.circular), np.asarray(own.linear))

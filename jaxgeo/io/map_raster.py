@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pathlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -48,6 +48,16 @@ class MapRaster(NamedTuple):
     crs: pyproj.CRS
     transform: Affine
     shape: tuple[int, int]
+
+    def part(self, row: int, col: int, shape: tuple[int, int]) -> MapRaster:
+        """The cells from (row, col) on, `shape` = (rows, cols), of the same lattice; also outside the raster."""
+        return MapRaster(self.crs, self.transform @ Affine.translation(col, row), shape)
+
+    def rowcol(self, x: float, y: float) -> tuple[float, float]:
+        """(row, col) of a place on the map, counted from the corner of the first cell."""
+        a, b, c, d, e, f = self.transform[:6]
+        x, y, det = x - c, y - f, a * e - b * d
+        return (a * y - d * x) / det, (e * x - b * y) / det
 
 
 class Spacing(NamedTuple):
@@ -102,6 +112,11 @@ def raster_of(
             f"or a part with bounds=."
         )
     return MapRaster(flat, Affine(across, 0.0, west, 0.0, -down, north), (rows, cols))
+
+
+def raster_with(crs: Any, transform: Sequence[float], shape: Sequence[int]) -> MapRaster:
+    """A raster whose transform is given as six numbers."""
+    return MapRaster(crs, Affine(*transform), (shape[0], shape[1]))
 
 
 def is_too_large(rows: float | int, cols: float | int) -> bool:

@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from rasterio.transform import Affine
 
 from jaxgeo._partial import partial_file
 from jaxgeo.io.map_raster import MapRaster
@@ -73,7 +72,9 @@ def write_vrt(
     for number in range(1, bands.count + 1):
         _add_band(root, number, bands, placed)
     if bands.nodata is None:
-        band = SubElement(SubElement(root, "MaskBand"), "VRTRasterBand", dataType="Byte", **_BLOCKS)
+        band = SubElement(
+            SubElement(root, "MaskBand"), "VRTRasterBand", dataType="Byte", blockXSize=BLOCK, blockYSize=BLOCK
+        )
         for file, corner in placed:
             _add_source(band, "mask,1", Bands(1, "uint8"), file, corner)
     ElementTree.indent(root, " ")
@@ -82,28 +83,21 @@ def write_vrt(
         os.replace(partial, target)
 
 
-_BLOCKS = {"blockXSize": BLOCK, "blockYSize": BLOCK}
-
-
 def _placed(target: pathlib.Path, files: Sequence[MosaicFile]) -> tuple[MapRaster, list[tuple[int, int]]]:
     """The raster that holds all files, and the (row, col) of the first cell of each."""
-    crs = files[0].raster.crs
-    first = files[0].raster.transform
-    others = [one for one in files if one.raster.crs != crs or _steps(one.raster) != _steps(files[0].raster)]
-    back = ~first
-    off = np.array([back * (one.raster.transform.c, one.raster.transform.f) for one in files])[:, ::-1]
-    others += [one for one, own in zip(files, off, strict=True) if not np.abs(own - np.rint(own)).max() <= ALIGNED]
-    if others:
-        raise ValueError(
-            f"{target}: the cells of {others[0].path} are not aligned with those of {files[0].path}; make all files of "
-            f"a mosaic with one crs and one resolution."
-        )
+    first = files[0].raster
+    off = np.array([first.rowcol(one.raster.transform.c, one.raster.transform.f) for one in files])
     starts = np.rint(off).astype(int)
-    stops = starts + np.array([one.raster.shape for one in files])
+    is_off = np.abs(off - starts).max(axis=1) > ALIGNED
+    for one, is_beside in zip(files, is_off, strict=True):
+        if is_beside or one.raster.crs != first.crs or _steps(one.raster) != _steps(first):
+            raise ValueError(
+                f"{target}: the cells of {one.path} are not aligned with those of {files[0].path}; make all files of "
+                f"a mosaic with one crs and one resolution."
+            )
     row, col = starts.min(axis=0).tolist()
-    rows, cols = (stops.max(axis=0) - [row, col]).tolist()
-    whole = MapRaster(crs, first * Affine.translation(col, row), (rows, cols))
-    return whole, [(r - row, c - col) for r, c in starts.tolist()]
+    rows, cols = (starts + np.array([one.raster.shape for one in files])).max(axis=0).tolist()
+    return first.part(row, col, (rows - row, cols - col)), [(r - row, c - col) for r, c in starts.tolist()]
 
 
 def _steps(raster: MapRaster) -> tuple[float, ...]:
@@ -112,7 +106,9 @@ def _steps(raster: MapRaster) -> tuple[float, ...]:
 
 
 def _add_band(root: Element, number: int, bands: Bands, placed: Sequence[tuple[MosaicFile, tuple[int, int]]]) -> None:
-    band = SubElement(root, "VRTRasterBand", dataType=_gdal(bands.dtype), band=f"{number}", **_BLOCKS)
+    band = SubElement(
+        root, "VRTRasterBand", dataType=_gdal(bands.dtype), band=f"{number}", blockXSize=BLOCK, blockYSize=BLOCK
+    )
     if bands.names:
         _add(band, "Description", bands.names[number - 1])
     if bands.units and bands.units[number - 1]:
@@ -126,7 +122,6 @@ def _add_band(root: Element, number: int, bands: Bands, placed: Sequence[tuple[M
 
 def _add_source(band: Element, number: str, bands: Bands, file: MosaicFile, corner: tuple[int, int]) -> None:
     rows, cols = file.raster.shape
-    size = {"xSize": f"{cols}", "ySize": f"{rows}"}
     source = SubElement(band, "ComplexSource")
     _add(source, "SourceFilename", file.path, relativeToVRT="1")
     _add(source, "SourceBand", number)
@@ -139,8 +134,8 @@ def _add_source(band: Element, number: str, bands: Bands, file: MosaicFile, corn
         BlockXSize=BLOCK,
         BlockYSize=BLOCK,
     )
-    SubElement(source, "SrcRect", xOff="0", yOff="0", **size)
-    SubElement(source, "DstRect", xOff=f"{corner[1]}", yOff=f"{corner[0]}", **size)
+    SubElement(source, "SrcRect", xOff="0", yOff="0", xSize=f"{cols}", ySize=f"{rows}")
+    SubElement(source, "DstRect", xOff=f"{corner[1]}", yOff=f"{corner[0]}", xSize=f"{cols}", ySize=f"{rows}")
     if bands.nodata is None:
         _add(source, "UseMaskBand", "true")
     else:

@@ -142,15 +142,20 @@ def accuracy_map(
     lat, lon = np.broadcast_arrays(*on_host(as_float64((ground.lat, ground.lon), "ground")))
     if not lat.size:
         raise ValueError(f"ground must hold positions; got shape {lat.shape}.")
-    size = block_size(lat.size, 8 * request.block)
-    flat: Any = lat.reshape(-1), lon.reshape(-1)
-    parts = blocks_of(flat, size, "projecting cells", request.sampling.progress)
-    cells = concatenate([project_cells(part[0], part[1], context) for part in parts], lat.size)
+    cells = projected(lat.reshape(-1), lon.reshape(-1), context, request)
     found = accuracy_of_cells(cells, lat.shape, request, context, model)
     shaped: Any = jax.tree.map(
         lambda leaf: jnp.asarray(leaf.reshape(lat.shape + leaf.shape[1:])), (cells.ground, cells.uv, cells.readings)
     )
     return AccuracyMap(found, *shaped)
+
+
+def projected(lat: np.ndarray, lon: np.ndarray, context: MapContext, request: Request) -> Cell:
+    """Cells at ground points (n,) in rad, as NumPy arrays, with the pixels that view them if nothing occludes them."""
+    size = block_size(lat.size, 8 * request.block)
+    flat: Any = lat, lon
+    parts = blocks_of(flat, size, "projecting cells", request.sampling.progress)
+    return concatenate([project_cells(part[0], part[1], context) for part in parts], lat.size)
 
 
 def checked_map(

@@ -124,8 +124,23 @@ def scheduler(_: pathlib.Path) -> None:
         pass
 
 
+def catalogue(folder: pathlib.Path) -> None:
+    """The place of a raster, as STAC tells it."""
+    import pyproj
+    from rasterio.transform import from_origin
+
+    from jaxgeo.cluster.catalogue import read_json, write_item
+    from jaxgeo.io.map_raster import MapRaster
+
+    raster = MapRaster(pyproj.CRS("EPSG:32632"), from_origin(500_000.0, 5_300_000.0, 2.0, 2.0), (300, 400))
+    write_item(folder / "a.json", {}, raster, {}, None, cog=False)
+    assert abs(read_json(folder / "a.json")["bbox"][0] - 9.0) < 1e-6
+
+
 EXTRAS = {
-    "cluster": Extra(("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pystac", "yaml"), (scheduler,)),
+    "cluster": Extra(
+        ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pystac", "yaml"), (scheduler, catalogue)
+    ),
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),
