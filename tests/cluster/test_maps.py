@@ -24,7 +24,7 @@ from jaxgeo.cluster.accuracy_tiles import tiles_of
 from jaxgeo.io import DemFiles, Observations, open_dem, read_dem, rectify_file, write_accuracy_map
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.vrt_writer import Bands, MosaicFile, write_vrt
-from jaxgeo.terrain import Dem
+from jaxgeo.terrain import ConstantHeight, Dem
 
 pystac: Any = pytest.importorskip("pystac")
 
@@ -73,7 +73,9 @@ class Made:
 
     def again(self, folder: pathlib.Path, terrain: Dem | DemFiles | None = None, **how: Any) -> Run:
         ground = self.files if terrain is None else terrain
-        return rectify_frames(folder, self.images, self.observed, ground, status=True, **how)
+        told = json.loads((self.folder / "_manifest.json").read_text(encoding="utf-8"))["identity"]
+        cells = {"crs": told["crs"], "resolution": float(told["resolution"].split()[0])}  # their defaults
+        return rectify_frames(folder, self.images, self.observed, ground, status=True, **(cells | how))
 
 
 @pytest.fixture(scope="module")
@@ -173,8 +175,8 @@ def test_only_missing_frames_are_computed(made: Made, tmp_path: pathlib.Path) ->
     (folder / "frame-00001.tif").unlink()
     images = shutil.copytree(made.images, tmp_path / "images")
     identity = json.loads((folder / "_manifest.json").read_text(encoding="utf-8"))
-    with pytest.raises(ValueError, match="other images"):
-        rectify_frames(folder, images, made.observed, made.files, status=True)
+    with pytest.raises(ValueError, match=r"other images, resolution"):
+        rectify_frames(folder, images, made.observed, made.files, status=True, crs=CRS, resolution=40.0)
     write_image(made.images / f"image {MISSING}.tif", MISSING)
     try:
         run = made.again(folder)
@@ -192,13 +194,15 @@ def test_only_missing_frames_are_computed(made: Made, tmp_path: pathlib.Path) ->
 def test_a_folder_with_something_else_is_refused(made: Made, tmp_path: pathlib.Path) -> None:
     (tmp_path / "note.txt").write_text("not ours")
     with pytest.raises(ValueError, match="no folder of parts"):
-        made.again(tmp_path, crs=CRS, resolution=40.0)
+        made.again(tmp_path)
     with pytest.raises(ValueError, match="other resolution"):
-        made.again(made.folder, crs=CRS, resolution=40.0)
+        made.again(made.folder, resolution=40.0)
     (batch,) = made.observed.batches
     motion = jax.tree.map(lambda leaf: leaf[0], batch.shots)
     with pytest.raises(ValueError, match="holds orthophotos, not accuracy map"):
-        accuracy_map(made.folder, batch.sensor, motion, made.files, batch.sources, sampling=None, **AREA)
+        accuracy_map(
+            made.folder, batch.sensor, motion, made.files, batch.sources, bounds=(0.0, 0.0, 90.0, 90.0), crs=CRS
+        )
 
 
 def test_wrong_images_are_refused(made: Made, tmp_path: pathlib.Path) -> None:
@@ -291,22 +295,28 @@ def compared(tiles: pathlib.Path, whole: pathlib.Path, least: int) -> None:
 
 
 def test_the_tiles_of_a_map_are_the_map(made: Made, tmp_path: pathlib.Path) -> None:
-    terrain = read_dem(
-        [pathlib.Path(one) for one in sorted(made.images.parent.glob("tile_*.tif"))], vertical_datum="ellipsoid"
-    )
-    view = looked_at(made.files)
-    run = accuracy_map(tmp_path / "tiles", *view[:2], terrain, view[2], tile=11, sampling=None, **AREA)
-    whole = write_accuracy_map(tmp_path / "whole.tif", *view[:2], terrain, view[2], sampling=None, **AREA)
-    assert len(run.parts) == 4
+    """Those that are missing are computed again, and only those."""
+    sensor, shot, errors = looked_at(made.files, 0.0)
+    east, north = (float(x) for x in pyproj.Transformer.from_crs("EPSG:4326", CRS).transform(*nadir_of(shot)))
+    how: dict[str, Any] = {"crs": CRS, "bounds": (east - 800.0, north - 400.0, east + 800.0, north + 400.0), "sampling": None}
+    given = sensor, shot, ConstantHeight(500.0), errors
+    run = accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=100.0, **how)
+    whole = write_accuracy_map(tmp_path / "whole.tif", *given, resolution=100.0, **how)
+    assert run.parts == ("tile-00000-00000.tif", "tile-00000-00001.tif")
     assert sum(run.counts.values()) == np.size(whole.method)
     compared(tmp_path / "tiles", tmp_path / "whole.tif", 50)
-    (tmp_path / "tiles" / run.parts[2]).unlink()
-    again = accuracy_map(tmp_path / "tiles", *view[:2], terrain, view[2], tile=11, sampling=None, **AREA)
-    assert again.computed == 1
+    before = rasters_of(tmp_path / "tiles")
+    (tmp_path / "tiles" / run.parts[1]).unlink()
+    assert accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=100.0, **how).computed == 1
+    assert rasters_of(tmp_path / "tiles") == before
     with pytest.raises(ValueError, match="other cells"):
-        accuracy_map(
-            tmp_path / "tiles", *view[:2], terrain, view[2], tile=11, sampling=None, **(AREA | {"resolution": 100.0})
-        )
+        accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=50.0, **how)
+
+
+def nadir_of(shot: Any) -> tuple[float, float]:
+    """Latitude and longitude in deg below a camera."""
+    position = shot.pose.position
+    return float(np.degrees(position.lat)), float(np.degrees(position.lon))
 
 
 @pytest.mark.slow
