@@ -91,6 +91,9 @@ def accuracy_map(
     `write_accuracy_map`. `mosaic.vrt` is the whole map; `collection.json` and `items.json` list all items. Needs the
     extra `cluster`.
 
+    Figures are those of `write_accuracy_map` except for rounding; a cell whose centre lies on an edge between two facets
+    of the terrain, as all do at its own spacing, may take the slope of either.
+
     Workers write into `folder`, which all must see. A later call with the same arguments computes only missing tiles.
     `Run.counts` counts cells by status. Raises `PartsFailed` if tiles could not be computed, after the others are;
     `ValueError` for arguments that contradict each other, and a folder that holds something else; otherwise as

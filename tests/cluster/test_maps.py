@@ -229,13 +229,13 @@ def test_orthophotos_over_files_are_those_over_the_whole(tmp_path: pathlib.Path)
     """Also with hidden ground, and where images reach beyond the mosaic; windows are much smaller than it."""
     paths = write_tiles(tmp_path, 4, 5, 100)
     files, whole = (read(paths, vertical_datum="ellipsoid") for read in (open_dem, read_dem))
-    observed = frames(12, 400, 500, np.linspace(10.0, 80.0, 12))
-    images = write_images(tmp_path / "images", 12)
+    observed = frames(16, 400, 500, np.linspace(10.0, 75.0, 16))
+    images = write_images(tmp_path / "images", 16)
     how: dict[str, Any] = {"crs": CRS, "resolution": 47.3, "status": True}
     run = rectify_frames(tmp_path / "files", images, observed, files, **how)
     assert run.counts["hit"] >= 10
     hidden = 0
-    for row in range(12):
+    for row in range(16):
         if (tmp_path / "files" / f"frame-{row:05d}.tif").exists():
             exposure = observed.at(row)[0].exposure
             path = tmp_path / f"{row}.tif"
@@ -255,9 +255,9 @@ def test_orthophotos_over_files_are_those_over_the_whole(tmp_path: pathlib.Path)
 
 @pytest.mark.slow
 def test_a_missing_tile_of_the_dem_stops_only_its_frames(tmp_path: pathlib.Path) -> None:
-    paths = write_tiles(tmp_path, 2, 3, 90)
+    paths = write_tiles(tmp_path, 1, 4, 150)  # bounds are read in blocks of 256 cells
     files = open_dem(paths, vertical_datum="ellipsoid", height_range=(200.0, 1000.0))
-    observed = frames(6, 180, 270)
+    observed = frames(6, 150, 600)
     images = write_images(tmp_path / "images", 6)
     kept = tmp_path / "elsewhere.tif"
     paths[-1].rename(kept)
@@ -298,7 +298,11 @@ def test_the_tiles_of_a_map_are_the_map(made: Made, tmp_path: pathlib.Path) -> N
     """Those that are missing are computed again, and only those."""
     sensor, shot, errors = looked_at(made.files, 0.0)
     east, north = (float(x) for x in pyproj.Transformer.from_crs("EPSG:4326", CRS).transform(*nadir_of(shot)))
-    how: dict[str, Any] = {"crs": CRS, "bounds": (east - 800.0, north - 400.0, east + 800.0, north + 400.0), "sampling": None}
+    how: dict[str, Any] = {
+        "crs": CRS,
+        "bounds": (east - 800.0, north - 400.0, east + 800.0, north + 400.0),
+        "sampling": None,
+    }
     given = sensor, shot, ConstantHeight(500.0), errors
     run = accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=100.0, **how)
     whole = write_accuracy_map(tmp_path / "whole.tif", *given, resolution=100.0, **how)
