@@ -91,8 +91,8 @@ def accuracy_map(
     `write_accuracy_map`. `mosaic.vrt` is the whole map; `collection.json` and `items.json` list all items. Needs the
     extra `cluster`.
 
-    Figures are those of `write_accuracy_map` except for rounding; a cell whose centre lies on an edge between two facets
-    of the terrain, as all do at its own spacing, may take the slope of either.
+    Figures are those of `write_accuracy_map` except for rounding; a cell whose centre lies on the edge of two facets of
+    the terrain, as many do at its own spacing, may take the slope of either.
 
     Workers write into `folder`, which all must see. A later call with the same arguments computes only missing tiles.
     `Run.counts` counts cells by status. Raises `PartsFailed` if tiles could not be computed, after the others are;
