@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.core import Tracer
 
 import jaxgeo
 from jaxgeo._compile import one_program, quick_filter_jit, quick_jit
@@ -57,7 +58,7 @@ def test_one_program_serves_a_direct_call_and_a_derivative_is_of_each_operation(
 
     @one_program
     def cube(x: Any) -> Any:
-        traced.append(isinstance(x, jax.core.Tracer))
+        traced.append(isinstance(x, Tracer))
         return x * x * x
 
     x = jnp.asarray(2.0)
