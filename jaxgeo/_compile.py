@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax._src.core import trace_state_clean
 from jax.core import Tracer
 from jax.custom_batching import custom_vmap
 
@@ -88,6 +89,25 @@ def quick_filter_jit(function: T) -> T:
     return _quick(function, eqx.filter_jit)
 
 
+def one_program(function: T) -> T:
+    """`function` as one program where it is called directly, in place of one for each operation; elsewhere as it is.
+
+    Numbers of Python are part of the program, so pass arrays.
+    """
+    whole = quick_filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        return (whole if is_direct((args, options)) else function)(*args, **options)
+
+    return call  # pyright: ignore
+
+
+def is_direct(inputs: Any) -> bool:
+    """Whether a call with `inputs` is by itself, not part of a program, of a `vmap` or of derivatives."""
+    return trace_state_clean() and is_known(inputs)
+
+
 def batch_filter_jit(function: T) -> T:
     """`equinox.filter_jit` for batches that are over in a second: called directly they compile in half the time."""
     return _quick(function, eqx.filter_jit, batch_options)
@@ -114,7 +134,7 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        if not is_known((args, options)):
+        if not is_direct((args, options)):
             return usual(*args, **options)
         folder = folder_in_use()
         with RARE_COLLECTION:

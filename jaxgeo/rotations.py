@@ -6,6 +6,7 @@ from typing import TypeAlias
 
 import jax.numpy as jnp
 
+from jaxgeo._compile import one_program
 from jaxgeo._elementary import sine_and_cosine
 from jaxgeo._numerics import cross, matmul3, matrix, safe_norm, safe_sqrt
 from jaxgeo._typing import Matrix3, Scalar, Vector3
@@ -51,7 +52,12 @@ def about_z(angle: Scalar, v: Components) -> Components:
 
 def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
     """`Rz(heading) Ry(pitch) Rx(roll)`; for the angles of a body (forward, right, down) this is `R_ned_from_body`."""
-    (sh, ch), (sp, cp), (sr, cr) = (sine_and_cosine(jnp.asarray(angle)) for angle in (heading, pitch, roll))
+    return _product_of_turns(*(jnp.asarray(angle) for angle in (heading, pitch, roll)))
+
+
+@one_program
+def _product_of_turns(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
+    (sh, ch), (sp, cp), (sr, cr) = (sine_and_cosine(angle) for angle in (heading, pitch, roll))
     forward, right, down = [ch, sh], [-sh, ch], [ch * sp, sh * sp]
     return matrix(
         [
@@ -61,6 +67,7 @@ def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> M
     )
 
 
+@one_program
 def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
     """Heading in (-pi, pi], pitch in [-pi/2, pi/2] and roll in (-pi, pi] rad of `Rz(heading) Ry(pitch) Rx(roll)`.
 
@@ -76,6 +83,7 @@ def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
     return heading, pitch, jnp.where(locked, 0.0, roll)
 
 
+@one_program
 def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     """Rotation about `rotation` by its length in rad (Rodrigues formula), smooth at zero."""
     x, y, z = rotation
@@ -89,6 +97,7 @@ def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     return jnp.eye(3) + sinc * K + half * matmul3(K, K)
 
 
+@one_program
 def rotation_vector_from_R(R: Matrix3) -> Vector3:
     """Rotation vector in rad of a rotation below 180 degrees, smooth at zero; inverse of `R_from_rotation_vector`.
 
@@ -104,6 +113,7 @@ def rotation_vector_from_R(R: Matrix3) -> Vector3:
     return axis * jnp.where(small, 2.0 + squared / 3.0 + 3.0 * squared**2 / 20.0, exact)
 
 
+@one_program
 def rotation_rate_from_body_rate(rotation: Vector3, rate: Vector3) -> Vector3:
     """Time derivative in rad/s of a rotation vector (rad) for a body rate in rad/s (rotated axes).
 

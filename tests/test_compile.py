@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.core import Tracer
 
 import jaxgeo
-from jaxgeo._compile import quick_filter_jit, quick_jit
+from jaxgeo._compile import one_program, quick_filter_jit, quick_jit
 from jaxgeo._program_cache import forget_oldest
 
 KEEPS = """
@@ -43,6 +44,28 @@ def test_a_quick_program_is_the_function_alone_and_within_transformations(jit: A
     np.testing.assert_allclose(jax.jit(quick)(x), function(x), rtol=1e-14)
     np.testing.assert_allclose(jax.grad(quick)(x), jax.grad(function)(x), rtol=1e-14)
     np.testing.assert_allclose(jax.vmap(quick)(x[:, None]), jnp.sin(x) ** 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("jit", [quick_jit, quick_filter_jit, one_program])
+def test_a_call_by_numbers_alone_within_a_program_is_part_of_it(jit: Any) -> None:
+    """Also of numbers that are known there, which call for no program of their own."""
+    double = jit(lambda x: 2.0 * x)
+    assert jax.jit(lambda x: x + double(jnp.asarray(3.0)))(1.0) == 7.0
+
+
+def test_one_program_serves_a_direct_call_and_a_derivative_is_of_each_operation() -> None:
+    traced = []
+
+    @one_program
+    def cube(x: Any) -> Any:
+        traced.append(isinstance(x, Tracer))
+        return x * x * x
+
+    x = jnp.asarray(2.0)
+    assert [float(cube(x)) for _ in range(3)] == [8.0] * 3
+    assert traced == [True], "traced once for three calls"
+    assert float(jax.grad(cube)(x)) == 12.0
+    assert float(jax.jit(cube)(x)) == 8.0
 
 
 def test_arguments_that_are_no_arrays_are_parts_of_a_filtered_program() -> None:

@@ -26,6 +26,7 @@ class Forward:
     """The hit in m along east, north and up as a function of one vector: sensor, shot and pixel, and then the posts."""
 
     hit: Callable[[jax.Array], jax.Array]
+    J_and_hit: Callable[[jax.Array], tuple[jax.Array, jax.Array]]  # compiled
     z: jax.Array
     count: int  # of numbers before the posts
     J: np.ndarray  # in reverse, (3, all)
@@ -84,7 +85,8 @@ def forward(over_terrain):  # noqa: F811
         return R @ (jnp.where(fix.ok, fix.ecef, jnp.nan) - middle)
 
     z = jnp.concatenate([x, jnp.ravel(jnp.asarray(dem.posts, jnp.float64))])
-    return Forward(hit, z, count, np.asarray(jax.jit(jax.jacrev(hit))(z)))
+    J_and_hit = jax.jit(jax.jacrev(lambda z: (hit(z),) * 2, has_aux=True))
+    return Forward(hit, J_and_hit, z, count, np.asarray(J_and_hit(z)[0]))
 
 
 def difference(function, x: np.ndarray, inputs: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -92,8 +94,7 @@ def difference(function, x: np.ndarray, inputs: np.ndarray, step: np.ndarray) ->
     shifts = np.zeros((inputs.size, x.size))
     shifts[np.arange(inputs.size), inputs] = step
     points = np.concatenate([shifts, -shifts, 2.0 * shifts, -2.0 * shifts]) + x
-    of_one = jax.jit(function)
-    values = np.stack([of_one(point) for point in points])
+    values = np.stack([function(point) for point in points])
     near_ahead, near_behind, far_ahead, far_behind = values.reshape(4, inputs.size, *values.shape[1:])
     width = step.reshape(-1, *[1] * (values.ndim - 1))
     return (8.0 * (near_ahead - near_behind) - (far_ahead - far_behind)) / (12.0 * width)
@@ -115,7 +116,7 @@ def test_the_jacobian_equals_central_differences_and_gradients_reach_exactly_the
     assert set(forward.count + touched) <= set(moving)
     # 10 of the camera, 4 of the gimbal, 12 of the mount, 6 of the pose, 2 readings, 2 of the pixel
     assert moving.size >= 35 + 4
-    numeric = difference(forward.hit, z, moving, step).T
+    numeric = difference(lambda z: forward.J_and_hit(z)[1], z, moving, step).T
     error = np.linalg.norm(numeric - J[:, moving], axis=0) / np.linalg.norm(J[:, moving], axis=0)
     print(f"{moving.size} inputs, worst relative error {error.max():.1e}")
     assert error.max() < 1e-6
@@ -138,7 +139,7 @@ def test_the_second_derivative_equals_differences_of_the_first(forward):
 
     x = forward.x
     H = np.asarray(jax.jit(jax.jacfwd(gradient))(x))[np.ix_(moving, moving)]
-    numeric = difference(gradient, np.asarray(x), moving, step)[:, moving]
+    numeric = difference(jax.jit(gradient), np.asarray(x), moving, step)[:, moving]
     scale = np.outer(step, step)  # each entry as what it adds, in m, over one step of both inputs
     error = np.abs(H - numeric) * scale
     print(f"largest second derivative {np.abs(H * scale).max():.1e} m, largest error {error.max():.1e} m")

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgeo._compile import one_program
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.collinearity import pixel_linear, pixel_of
 from jaxgeo.adjust.layout import Layout
@@ -19,6 +20,7 @@ from jaxgeo.adjust.values import Values, with_interior
 LEAST_WEIGHT = 1e-10  # lower bound of robust weights: with zero weights, points with few rays would be undetermined
 
 
+@one_program
 def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
     """Residuals (predicted less measured) of the image points over their standard deviations."""
     layout = problem.layout

@@ -93,10 +93,10 @@ def prepared(
         centre=jnp.asarray(images.centre),
         R_frame_from_camera=jnp.asarray(images.R_frame_from_camera),
         points=jnp.asarray(beginning),
-        lens=jnp.stack([interior_of(block.cameras[name]) for name in cameras]),
-        boresight=jnp.broadcast_to(jnp.eye(3), (len(mounts), 3, 3)),
+        lens=jnp.asarray(np.stack([interior_of(block.cameras[name]) for name in cameras])),
+        boresight=jnp.asarray(np.broadcast_to(np.eye(3), (len(mounts), 3, 3))),
         lever=jnp.asarray(_levers(block, mounts)),
-        strip=jnp.zeros((len(strips), 6)),
+        strip=jnp.asarray(np.zeros((len(strips), 6))),
     )
     problem = Problem(
         layout=layout,
@@ -278,4 +278,4 @@ def _numbers(names: np.ndarray, known: tuple[str, ...]) -> np.ndarray:
 def _stacked(cameras: list[FrameCamera]) -> FrameCamera:
     """Cameras as one record with a leading axis; adjustments need no image sizes."""
     alike = [FrameCamera(c.focal_px, c.principal_px, c.distortion, 1, 1) for c in cameras]
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, jnp.float64) for leaf in leaves]), *alike)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf, float) for leaf in leaves])), *alike)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import as_float64
+from jaxgeo._compile import one_program
 from jaxgeo._numerics import dot, implicit_root, larger, safe_norm, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
@@ -51,12 +52,7 @@ class Ellipsoid(Record):
 
     def to_ecef(self, position: Geodetic) -> Vector3:
         """ECEF coordinates in m of a geodetic position on this ellipsoid."""
-        position = as_float64(position, "position")
-        N = self.prime_vertical_radius(position.lat)
-        sin_lat, cos_lat = jnp.sin(position.lat), jnp.cos(position.lat)
-        p = (N + position.height) * cos_lat
-        z = (N * (1.0 - self.e2) + position.height) * sin_lat
-        return jnp.stack([p * jnp.cos(position.lon), p * jnp.sin(position.lon), z])
+        return _ecef(self, as_float64(position, "position"))
 
     def to_geodetic(self, p_ecef: Vector3) -> Geodetic:
         """Geodetic position of ECEF coordinates in m.
@@ -64,20 +60,14 @@ class Ellipsoid(Record):
         A fixed number of Bowring steps and analytic derivatives: full precision from -10 to 1000 km and beyond, finite
         derivatives everywhere, including the poles and the date line. At a pole the longitude and its derivative are 0.
         """
-        p_ecef = as_float64(p_ecef, "p_ecef")
-        normal, height = self.normal_and_height(p_ecef)
-        x, y, z = normal
-        at_pole = (x == 0.0) & (y == 0.0)
-        lon = jnp.arctan2(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
-        return Geodetic(lat=jnp.arctan2(z, safe_norm(normal[:2])), lon=lon, height=height)
+        return _geodetic(self, as_float64(p_ecef, "p_ecef"))
 
     def normal_and_height(self, p_ecef: Vector3) -> tuple[Vector3, Scalar]:
         """Outward unit normal of the ellipsoid (local up) at an ECEF point, and the height of the point in m.
 
         Unlike latitude and longitude, both are smooth at the poles and across the date line.
         """
-        *normal, height = _normal_and_height(self, *p_ecef)
-        return jnp.stack(normal), height
+        return _normal_vector_and_height(self, p_ecef)
 
     def normal_and_height_of(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """`normal_and_height` by components; for batches, building and unpacking vectors of three is slow."""
@@ -136,6 +126,30 @@ class Ellipsoid(Record):
 
 WGS84 = Ellipsoid(a=6378137.0, f=1.0 / 298.257223563)
 GRS80 = Ellipsoid(a=6378137.0, f=1.0 / 298.257222101)
+
+
+@one_program
+def _ecef(ellipsoid: Ellipsoid, position: Geodetic) -> Vector3:
+    N = ellipsoid.prime_vertical_radius(position.lat)
+    sin_lat, cos_lat = jnp.sin(position.lat), jnp.cos(position.lat)
+    p = (N + position.height) * cos_lat
+    z = (N * (1.0 - ellipsoid.e2) + position.height) * sin_lat
+    return jnp.stack([p * jnp.cos(position.lon), p * jnp.sin(position.lon), z])
+
+
+@one_program
+def _geodetic(ellipsoid: Ellipsoid, p_ecef: Vector3) -> Geodetic:
+    normal, height = ellipsoid.normal_and_height(p_ecef)
+    x, y, z = normal
+    at_pole = (x == 0.0) & (y == 0.0)
+    lon = jnp.arctan2(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
+    return Geodetic(lat=jnp.arctan2(z, safe_norm(normal[:2])), lon=lon, height=height)
+
+
+@one_program
+def _normal_vector_and_height(ellipsoid: Ellipsoid, p_ecef: Vector3) -> tuple[Vector3, Scalar]:
+    *normal, height = _normal_and_height(ellipsoid, *p_ecef)
+    return jnp.stack(normal), height
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -5,24 +5,33 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64
+from jaxgeo._compile import one_program
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.earth.geodetic import Geodetic
 
 
 def R_ecef_from_ned(position: Geodetic) -> Matrix3:
     """Rotation from north-east-down at `position` to ECEF; the height does not matter."""
-    north, east, down = _axes(position)
-    return jnp.stack([north, east, down], axis=1)
+    return _from_ned(as_float64(position, "position"))
 
 
 def R_ecef_from_enu(position: Geodetic) -> Matrix3:
     """Rotation from east-north-up at `position` to ECEF; the height does not matter."""
+    return _from_enu(as_float64(position, "position"))
+
+
+@one_program
+def _from_ned(position: Geodetic) -> Matrix3:
+    return jnp.stack(_axes(position), axis=1)
+
+
+@one_program
+def _from_enu(position: Geodetic) -> Matrix3:
     north, east, down = _axes(position)
     return jnp.stack([east, north, -down], axis=1)
 
 
 def _axes(position: Geodetic) -> tuple[Vector3, Vector3, Vector3]:
-    position = as_float64(position, "position")
     sin_lat, cos_lat = jnp.sin(position.lat), jnp.cos(position.lat)
     sin_lon, cos_lon = jnp.sin(position.lon), jnp.cos(position.lon)
     north = jnp.stack([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat])

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._compile import one_program, quick_filter_jit
 from jaxgeo._elementary import arctangent
 from jaxgeo._numerics import larger, safe_sqrt, times, within
 from jaxgeo._record import Record
@@ -165,14 +165,9 @@ class TangentGrid(AbstractGrid):
         Rows run south and columns east; `heading` in rad rotates the grid clockwise. The spacing is exact at the centre
         and grows outwards with the square of the distance, by 1e-6 at 6 km.
         """
-        centre = as_float64(centre, "centre")
-        lat = jnp.asarray(centre.lat)
-        radii = jnp.stack([WGS84.prime_vertical_radius(lat), WGS84.meridian_radius(lat)]) + centre.height
-        c, s = jnp.cos(heading), jnp.sin(heading)
-        directions = jnp.array([[-s, c], [-c, -s]])  # columns: direction of a step in row and in col, (east, north)
-        step = directions * jnp.asarray(spacing, jnp.float64)[None, :] / radii[:, None]
-        rowcol0 = (jnp.asarray(shape, jnp.float64) - 1.0) / 2.0
-        return cls(rowcol0, jnp.zeros(2), step, R_ecef_from_enu(centre).T)
+        spacings, turn = jnp.asarray(spacing, jnp.float64), jnp.asarray(heading, jnp.float64)
+        posts = jnp.asarray(shape, jnp.float64)
+        return cls(*_centred_in_plane(as_float64(centre, "centre"), spacings, posts, turn))
 
     def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
         east, north = _plane(self.R_enu_from_ecef, x, y, z)
@@ -221,6 +216,17 @@ def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> F
     x, y = (_chebyshev(t, coefficients.shape[0]) for t in near)
     linear = jnp.stack([coefficients[1, 0], coefficients[0, 1]], axis=1)
     return jnp.einsum("i,j,ijk->k", x, y, coefficients) + jnp.stack(times(linear, xy - near))
+
+
+@one_program
+def _centred_in_plane(
+    centre: Geodetic, spacing: Float[Array, "2"], shape: Float[Array, "2"], heading: Scalar
+) -> tuple[Pair, Pair, Step, Rotation]:
+    """Reference post, its place in the tangent plane, steps and rotation of a grid that is centred at `centre`."""
+    radii = jnp.stack([WGS84.prime_vertical_radius(centre.lat), WGS84.meridian_radius(centre.lat)]) + centre.height
+    c, s = jnp.cos(heading), jnp.sin(heading)
+    directions = jnp.array([[-s, c], [-c, -s]])  # columns: direction of a step in row and in col, (east, north)
+    return (shape - 1.0) / 2.0, jnp.zeros(2), directions * spacing[None, :] / radii[:, None], R_ecef_from_enu(centre).T
 
 
 @quick_filter_jit

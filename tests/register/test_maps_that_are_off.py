@@ -3,6 +3,7 @@ are not those that made the image."""
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -30,10 +31,18 @@ DEM = example_dem()
 SIZE, SIDE, CELL = 320, 512, 10.0  # px, cells, m
 TARGET = Geodetic.from_degrees(lat=36.29, lon=-84.26, height=0.0)
 SENSOR = Sensor(FrameCamera.from_pixels(focal_px=400.0, width=SIZE, height=SIZE), Gimbal.fixed(), Mount.nadir())
-SHOT = looking_at(
-    Geodetic(lat=TARGET.lat, lon=TARGET.lon, height=DEM.height_at(TARGET)), off_nadir=3.0, azimuth=10.0, above=4000.0
-)
 PIXELS = jnp.array([[159.5, 159.5], [20.0, 20.0], [300.0, 20.0], [20.0, 300.0], [300.0, 300.0]])
+
+
+@functools.cache
+def shot() -> Shot:
+    """The image's true orientation."""
+    return looking_at(
+        Geodetic(lat=TARGET.lat, lon=TARGET.lon, height=DEM.height_at(TARGET)),
+        off_nadir=3.0,
+        azimuth=10.0,
+        above=4000.0,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +52,7 @@ def reference() -> Orthoimage:
 
 @pytest.fixture(scope="module")
 def image(reference: Orthoimage) -> np.ndarray:
-    return spoilt(np.asarray(render(SENSOR, SHOT, reference, DEM).values), 5)
+    return spoilt(np.asarray(render(SENSOR, shot(), reference, DEM).values), 5)
 
 
 def errors(metres: float, degrees: float) -> ErrorModel:
@@ -61,16 +70,16 @@ def map_errors(shift: float) -> TieErrors:
 
 def off(found: Registration) -> tuple[np.ndarray, np.ndarray]:
     """Of the pixels, the offset to the east and north in m, and its standard deviations."""
-    there = jax.vmap(lambda uv: locate(SENSOR, SHOT, uv, DEM).ecef)(PIXELS)
+    there = jax.vmap(lambda uv: locate(SENSOR, shot(), uv, DEM).ecef)(PIXELS)
     fixes = [found.fix(np.asarray(uv)) for uv in PIXELS]
-    R = np.asarray(R_ecef_from_enu(SHOT.pose.position))
+    R = np.asarray(R_ecef_from_enu(shot().pose.position))
     offset = np.array([np.asarray(fix.fix.ecef) for fix in fixes]) - np.asarray(there)
     return (offset @ R)[:, :2], np.array([np.sqrt(np.diagonal(np.asarray(fix.cov_enu)))[:2] for fix in fixes])
 
 
 def test_a_map_that_is_off_by_many_cells_is_followed(reference: Orthoimage, image: np.ndarray) -> None:
     """With good navigation the map's shift is found, however many cells it is, and it does not shift the result."""
-    given = disturbed(SHOT, np.random.default_rng(3), metres=2.0, degrees=0.02)
+    given = disturbed(shot(), np.random.default_rng(3), metres=2.0, degrees=0.02)
     for cells in (3, 6):
         there = Orthoimage.of(np.roll(np.asarray(reference.values)[0], cells, 1), reference.grid)
         found = register_image(SENSOR, given, image, there, DEM, errors(2.0, 0.02), map_errors(30.0))
@@ -84,7 +93,7 @@ def test_a_map_that_is_off_by_many_cells_is_followed(reference: Orthoimage, imag
 
 
 def test_a_shift_that_is_known_before_is_used(reference: Orthoimage, image: np.ndarray) -> None:
-    given, model = disturbed(SHOT, np.random.default_rng(3), metres=2.0, degrees=0.02), errors(2.0, 0.02)
+    given, model = disturbed(shot(), np.random.default_rng(3), metres=2.0, degrees=0.02), errors(2.0, 0.02)
     there = Orthoimage.of(np.roll(np.asarray(reference.values)[0], 12, 1), reference.grid)
     before = Prior.of(model, map_errors(1.0))
     before = Prior(jnp.asarray(before.mean).at[-2].set(12 * CELL), before.covariance)
@@ -102,7 +111,7 @@ def refused(found: Registration) -> Any:
 
 def test_halves_that_contradict_each_other_are_ambiguous(reference: Orthoimage, image: np.ndarray) -> None:
     """A mosaic with a bad seam: coarser cells, in which both would be one, are no way out."""
-    given = disturbed(SHOT, np.random.default_rng(1), metres=50.0, degrees=0.5)
+    given = disturbed(shot(), np.random.default_rng(1), metres=50.0, degrees=0.5)
     values = np.asarray(reference.values)[0]
     torn = values.copy()
     torn[:, SIDE // 2 :] = np.roll(values, 8, 0)[:, SIDE // 2 :]
@@ -116,17 +125,17 @@ def test_a_texture_that_repeats_itself_is_ambiguous(reference: Orthoimage) -> No
     tile = scipy.ndimage.gaussian_filter(rng.normal(size=(period, period)), 1.0, mode="wrap")
     values = 100.0 + 30.0 * np.tile(tile / tile.std(), (SIDE // period, SIDE // period))
     there = Orthoimage.of(values, reference.grid)
-    seen = noisy(np.asarray(render(SENSOR, SHOT, there, DEM).values), np.random.default_rng(1), 0.1)
-    given = moved(SHOT, np.array([75.0, -37.5, 0.0]), np.zeros(3))
+    seen = noisy(np.asarray(render(SENSOR, shot(), there, DEM).values), np.random.default_rng(1), 0.1)
+    given = moved(shot(), np.array([75.0, -37.5, 0.0]), np.zeros(3))
     found = register_image(SENSOR, given, seen, there, DEM, errors(50.0, 0.05), map_errors(1.0))
     assert refused(found) is Outcome.ambiguous, str(found)
 
 
 def test_a_lens_or_a_terrain_that_is_not_the_image_s_is_no_noise(reference: Orthoimage, image: np.ndarray) -> None:
     """Ties that are off as their neighbours are say that something else is wrong; as noise they would tell too much."""
-    given, model = disturbed(SHOT, np.random.default_rng(1), metres=50.0, degrees=0.5), errors(50.0, 0.5)
+    given, model = disturbed(shot(), np.random.default_rng(1), metres=50.0, degrees=0.5), errors(50.0, 0.5)
     lens = eqx.tree_at(lambda s: s.camera.distortion, SENSOR, BrownConrady(k1=-0.05), is_leaf=lambda x: x is None)
-    bent = spoilt(np.asarray(render(lens, SHOT, reference, DEM).values), 5)
+    bent = spoilt(np.asarray(render(lens, shot(), reference, DEM).values), 5)
     beside = Dem.from_array(np.roll(np.asarray(DEM.posts, float), 3, 1), DEM.grid)
     for seen, terrain in ((bent, DEM), (image, beside)):
         found = register_image(SENSOR, given, seen, reference, terrain, model, map_errors(1.0))
@@ -137,7 +146,7 @@ def test_a_lens_or_a_terrain_that_is_not_the_image_s_is_no_noise(reference: Orth
 def test_navigation_of_which_nothing_is_known_is_not_searched(reference: Orthoimage, image: np.ndarray) -> None:
     vague = {(1e6, 0.5): Outcome.too_vague, (2e4, 1.0): Outcome.too_vague, (1000.0, 0.5): Outcome.off_reference}
     for (metres, degrees), outcome in vague.items():
-        found = register_image(SENSOR, SHOT, image, reference, DEM, errors(metres, degrees), map_errors(1.0))
+        found = register_image(SENSOR, shot(), image, reference, DEM, errors(metres, degrees), map_errors(1.0))
         assert refused(found) is outcome, str(found)
 
 
@@ -145,4 +154,4 @@ def test_navigation_of_which_nothing_is_known_is_not_searched(reference: Orthoim
 def test_searches_that_tell_nothing_are_refused(change: dict[str, Any], reference: Orthoimage) -> None:
     blank = np.ones((1, SIZE, SIZE))
     with pytest.raises(ValueError, match=next(iter(change))):
-        register_image(SENSOR, SHOT, blank, reference, DEM, errors(50.0, 0.5), map_errors(1.0), **change)
+        register_image(SENSOR, shot(), blank, reference, DEM, errors(50.0, 0.5), map_errors(1.0), **change)

@@ -14,7 +14,7 @@ from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.correlation import correlations
 from jaxgeo.register.flattening import remove_illumination
 from jaxgeo.register.matching import match_blocks
-from jaxgeo.register.peaks import ellipses
+from jaxgeo.register.peaks import _top_of_paraboloid, ellipses
 
 SIDE, SIZE = 160, 40
 SHIFT = np.array([2.3, -1.4])
@@ -266,3 +266,14 @@ def test_mistakes_are_named(change: dict, words: str) -> None:
     given |= {"centres": np.array([[80.0, 80.0]]), "covariance": np.eye(2)[None], "size": SIZE}
     with pytest.raises(ValueError, match=words):
         match_blocks(**(given | change))
+
+
+@pytest.mark.parametrize("place", [(0.3, -0.2), (-0.45, 0.1), (0.0, 0.0)])
+def test_the_offset_of_a_peak_is_the_top_of_its_paraboloid(place: tuple[float, float]) -> None:
+    """In cells, towards rows and columns that grow; one that would be further than half a cell away stays within."""
+    row, col = np.mgrid[:7, :9].astype(float)
+    score = 0.9 - 0.05 * (row - 3.0 - place[0]) ** 2 - 0.08 * (col - 5.0 - place[1]) ** 2
+    top = _top_of_paraboloid(jnp.asarray(score), jnp.asarray(3), jnp.asarray(5))
+    np.testing.assert_allclose(top, place, rtol=0, atol=1e-12)
+    beside = _top_of_paraboloid(jnp.asarray(score), jnp.asarray(2), jnp.asarray(5))
+    np.testing.assert_allclose(beside, (0.5, place[1]), rtol=0, atol=1e-12)

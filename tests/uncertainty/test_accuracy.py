@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import pickle
 
 import jax
@@ -73,26 +74,29 @@ def test_many_pixels_have_the_shape_of_the_pixels(one: Accuracy, many: Accuracy)
         _ = many.because
 
 
-def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(one: Accuracy, many: Accuracy) -> None:
+def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(many: Accuracy) -> None:
     sensor, shot, _, terrain, errors = SCENE
 
-    def radii(pixels):
-        found = accuracy(sensor, shot, pixels, terrain, errors, sampling=None).circular
-        return found[0, 0], found
+    @jax.jit
+    @functools.partial(jax.value_and_grad, argnums=1, has_aux=True)
+    def radii(shot, pixels):
+        found = accuracy(sensor, shot, pixels, terrain, errors, sampling=None)
+        return found.circular[0, 0], found
 
     def radius(uv):
         return accuracy(sensor, shot, uv, terrain, errors, sampling=None).circular
 
     assert jax.eval_shape(jax.vmap(radius), PIXELS[0]).shape == (2,)
-    (_, circular), slopes = jax.jit(jax.value_and_grad(radii, has_aux=True))(PIXELS)
-    np.testing.assert_allclose(circular, many.circular, rtol=1e-9)
-    step = np.array([1.0, 0.0])  # px
-    numeric = (radius(PIXELS[0, 0] + step) - radius(PIXELS[0, 0] - step)) / 2.0
+    (_, found), slopes = radii(shot, PIXELS)
+    np.testing.assert_allclose(found.circular, many.circular, rtol=1e-9)
+    step = np.zeros_like(PIXELS)  # px
+    step[0, 0, 0] = 1.0
+    numeric = (radii(shot, PIXELS + step)[0][0] - radii(shot, PIXELS - step)[0][0]) / 2.0
     assert float(slopes[0, 0, 0]) == pytest.approx(float(numeric), rel=1e-3)
     assert np.count_nonzero(slopes) == 2
-    none = accuracy(sensor, looks.level_shot(120.0), UV, terrain, errors, sampling=None)
-    assert int(none.method) == NO_FIX
-    assert str(none).startswith("No fix")
+    none = radii(looks.level_shot(120.0), PIXELS)[0][1]
+    assert np.all(none.method == NO_FIX)
+    assert str(none[0, 0]).startswith("No fix")
 
 
 @pytest.mark.slow
