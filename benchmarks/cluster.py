@@ -94,7 +94,8 @@ def workers(files: Any, frames: int, rows: int, repeats: int, folder: pathlib.Pa
                     last = time.perf_counter() - start
                     shutil.rmtree(name)
                 seconds[count].append(last)
-                memory[count] = max(client.run(_peak).values())
+                peaks: Any = client.run(_peak)
+                memory[count] = max(peaks.values())
     median = {count: statistics.median(each) for count, each in seconds.items()}
     return {
         "frames": frames,
@@ -130,7 +131,7 @@ def main() -> None:
     given = options.parse_args()
     jaxgeo.enable_x64()
     jaxgeo.keep_programs()
-    found: dict[str, Any] = {}
+    found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         files = open_dem(write_tiles(folder, DOWN, ACROSS, POSTS), vertical_datum="ellipsoid")
@@ -143,7 +144,7 @@ def main() -> None:
     if given.only is None:
         cost = found["workers"]
         task_s = 1e-3 * found["scheduler"]["ms_per_task"]
-        found["model"] = model(cost["part_s"], task_s, cost["start_s"], found["plan"]["parts"])
+        found["model"] = {"rows": model(cost["part_s"], task_s, cost["start_s"], int(found["plan"]["parts"]))}
     print(json.dumps(found, indent=1))
 
 

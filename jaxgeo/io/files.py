@@ -106,7 +106,14 @@ class DemFiles:
 
     _opened_by: Callable[[], DemFiles]
 
-    def __init__(self, source: Source, blocks: Blocks, void_ceiling: float | None, dtype: np.dtype) -> None:
+    def __init__(
+        self,
+        source: Source,
+        blocks: Blocks,
+        void_ceiling: float | None,
+        dtype: np.dtype,
+        identity: str | None = None,
+    ) -> None:
         self.source = source
         self.blocks = blocks
         self.dtype = dtype
@@ -115,7 +122,8 @@ class DemFiles:
         self._void_ceiling = void_ceiling
         self._sizes: list[tuple[int, int]] = []
         self._whole: DemFiles | None = None
-        self.identity = f"{blocks.identity()} {(void_ceiling, blocks.height_range, f'{dtype}')}"
+        options = void_ceiling, blocks.height_range, f"{dtype}"
+        self.identity = f"{blocks.identity()} {options}" if identity is None else identity
         """Key of the files, with their times and sizes, and of the options that change what is read from them."""
         self.grid: AbstractGrid | None = None
         with contextlib.suppress(DemError):  # too large for one fitted map: fit one per window
@@ -124,9 +132,8 @@ class DemFiles:
     def forgetful(self) -> DemFiles:
         """The same files without what is known of their heights, except those of the whole: the windows of rays, and so
         the rounding of their fixes, do not depend on what was read before."""
-        files = DemFiles(
-            self.source, Blocks(self.source, self.blocks.height_range, None), self._void_ceiling, self.dtype
-        )
+        blocks = Blocks(self.source, self.blocks.height_range, None)
+        files = DemFiles(self.source, blocks, self._void_ceiling, self.dtype, self.identity)
         files._whole, files._opened_by = self, self._opened_by
         return files
 
@@ -200,7 +207,10 @@ class DemFiles:
         if self.too_large(window, max_posts):
             whose = "the ray" if len(path.exists) == 1 else f"these {len(path.exists)} rays together"
             raise self.refuse(window, max_posts, whose)
-        return self.load(self.wider(window, margin), whole_ceiling=ceiling, max_posts=max_posts)
+        if margin:  # higher ground in it may ask for a larger window
+            window, ceiling = self.window_under(path, margin=margin)
+            assert window is not None
+        return self.load(window, whole_ceiling=ceiling, max_posts=max_posts)
 
     def follow(self, rays: Ray) -> Sightlines:
         """Paths of rays over the mosaic and where they may hit the ground, from the block bounds."""

@@ -80,7 +80,7 @@ def locate_over_files(
     for rows, windows in _windows(rays, files, max_posts, status, reasons):
         for index, window, whole in windows:
             index = rows[index]
-            for part, own in _answers(observed, files, index, window, whole, accuracy, margin, max_posts):
+            for part, own in _answers(observed, rays, files, index, window, whole, accuracy, margin, max_posts):
                 for all_, some in zip(jax.tree.leaves(fixes), jax.tree.leaves(own[0]), strict=True):
                     all_[part] = some
                 status[part] = own[0].status
@@ -136,6 +136,7 @@ def _windows(
 
 def _answers(
     observed: Observations,
+    rays: Ray,
     files: DemFiles,
     rows: np.ndarray,
     window: Window,
@@ -146,7 +147,7 @@ def _answers(
 ) -> Iterator[tuple[np.ndarray, tuple[Fix, Accuracy | None]]]:
     """(rows, their answers) over a window, and over larger ones for rows whose errors may reach beyond it."""
     while True:
-        wider = files.wider(window, files.posts_of(window, margin)) if margin > 0.0 else window
+        wider = _wider(rays, rows, files, window, margin)
         is_too_large = wider != window and files.too_large(wider, max_posts)
         taken = window if is_too_large else wider
         size: Any = tuple(max(side, SIDE) for side in padded_shape(taken.shape))
@@ -170,6 +171,16 @@ def _answers(
         if not beyond.any():
             return
         rows, margin = rows[beyond], WIDER * max(margin, SMALLEST)
+
+
+def _wider(rays: Ray, rows: np.ndarray, files: DemFiles, window: Window, margin: float) -> Window:
+    """The window of some rays with a margin in m, in which higher ground may ask for a larger one."""
+    if margin == 0.0:
+        return window
+    some = Ray(np.asarray(rays.origin)[rows], np.asarray(rays.direction)[rows])
+    wider, _ = files.window_under(files.follow(some), margin=files.posts_of(window, margin))
+    assert wider is not None
+    return wider
 
 
 def reaches_beyond(own: Accuracy, margin: float) -> np.ndarray:

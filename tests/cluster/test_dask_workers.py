@@ -135,7 +135,7 @@ def test_a_machine_compiles_once(tmp_path, frames: Observations, tiles, monkeypa
             client.run(_count_compilations)
             files = open_dem(tiles, vertical_datum="ellipsoid")
             locate_frames(tmp_path / f"fixes{workers}", frames, files, client=client, rows=ROWS)
-            compiled = client.run(_compiled_here)
+            compiled: Any = client.run(_compiled_here)
         names = {path.name for path in cache.rglob("program-*")}
         assert 0 < sum(compiled.values()) <= len(names), compiled  # the client keeps some, too
         return names
@@ -153,7 +153,7 @@ def _count_compilations() -> None:
         Programs.count += 1  # pyright: ignore
         return compiled(self, *args)
 
-    Programs._compiled = counted
+    Programs._compiled = counted  # pyright: ignore
 
 
 def _compiled_here() -> int:

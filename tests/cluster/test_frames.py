@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.survey import survey, write_tiles
+from support.survey import ridge_at, survey, write_tiles
 
 import jaxgeo
 from jaxgeo.cluster import PartsFailed, connect, locate_frames, statuses_of
@@ -205,6 +205,18 @@ def test_ground_that_is_too_large_is_a_row_with_its_reason(frames: Observations,
     assert "max_posts=60" in next(filter(None, widths.reasons))
     assert (widths.fixes.status[too_large] == Status.leaves_terrain).all()
     assert np.array_equal(widths.fixes.status[~too_large], usual.fixes.status[~too_large])
+
+
+def test_higher_ground_beside_the_rays_changes_nothing(tmp_path: pathlib.Path) -> None:
+    """With its margin the window may hold the ridge, below whose height oblique rays come from outside of the window."""
+    tiles = write_tiles(tmp_path, down=1, across=1, posts=400, height_at=ridge_at)
+    some = survey(80, (12000.0, 8000.0), off_nadir=68.0)
+    files = open_dem(tiles, vertical_datum="ellipsoid")
+    some = some.part(0, np.arange(10, 30))
+    each = [locate_over_files(some.part(0, np.array([k])), files, margin=1500.0) for k in range(20)]
+    whole = jaxgeo.io.locate_observations(some, read_dem(tiles, vertical_datum="ellipsoid"))
+    assert [int(one.fixes.status[0]) for one in each] == np.asarray(whole.status).tolist()
+    assert (np.asarray(whole.status) == Status.hit).sum() > 5
 
 
 def test_bent_rays_are_refused_over_a_dem_on_disk(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
@@ -24,7 +24,18 @@ def height_at(east: np.ndarray, north: np.ndarray) -> np.ndarray:
     return 600.0 + 250.0 * np.sin(y / 1700.0) * np.cos(x / 2300.0) + 60.0 * np.sin(y / 311.0 + x / 417.0)
 
 
-def write_tiles(folder: pathlib.Path, down: int = 5, across: int = 8, posts: int = 100) -> list[pathlib.Path]:
+def ridge_at(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Height in m of a plain with a ridge of 1700 m, from north to south, 8.4 km from the corner."""
+    return 600.0 + 1700.0 * np.exp(-0.5 * ((east - EAST - 8400.0) / 300.0) ** 2) + 0.0 * north
+
+
+def write_tiles(
+    folder: pathlib.Path,
+    down: int = 5,
+    across: int = 8,
+    posts: int = 100,
+    height_at: Callable[[np.ndarray, np.ndarray], np.ndarray] = height_at,
+) -> list[pathlib.Path]:
     """`down` x `across` tiles of `posts` x `posts`, heights above the ellipsoid."""
     paths = []
     for i in range(down):
@@ -40,15 +51,17 @@ def write_tiles(folder: pathlib.Path, down: int = 5, across: int = 8, posts: int
     return paths
 
 
-def survey(count: int, size: Sequence[float], *, sigma: float = 1.0, seed: int = 0) -> Observations:
-    """`count` frames over an area of `size` = (down, across) in m, 30 deg off nadir in all directions."""
+def survey(
+    count: int, size: Sequence[float], *, sigma: float = 1.0, seed: int = 0, off_nadir: float = 30.0
+) -> Observations:
+    """`count` frames over an area of `size` = (down, across) in m, `off_nadir` deg in all directions."""
     random = np.random.default_rng(seed)
     down, across = size
     east, north = EAST + random.uniform(0.0, across, count), NORTH - random.uniform(0.0, down, count)
     lon, lat = pyproj.Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(east, north)
     height, heading = 2500.0 + random.uniform(0.0, 500.0, count), random.uniform(0.0, 360.0, count)
     each = [
-        Shot(Pose.from_degrees(lat=a, lon=b, height=c, heading=d, pitch=30.0, roll=0.0))
+        Shot(Pose.from_degrees(lat=a, lon=b, height=c, heading=d, pitch=off_nadir, roll=0.0))
         for a, b, c, d in zip(lat, lon, height, heading, strict=True)
     ]
     shots = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *each)
