@@ -208,7 +208,7 @@ def test_ground_that_is_too_large_is_a_row_with_its_reason(frames: Observations,
 
 
 def test_higher_ground_beside_the_rays_changes_nothing(tmp_path: pathlib.Path) -> None:
-    """With its margin the window may hold the ridge, below whose height oblique rays come from outside of the window."""
+    """With its margin the window may hold the ridge, whose height oblique rays pass outside of the window."""
     tiles = write_tiles(tmp_path, down=1, across=1, posts=400, height_at=ridge_at)
     some = survey(80, (12000.0, 8000.0), off_nadir=68.0)
     files = open_dem(tiles, vertical_datum="ellipsoid")
