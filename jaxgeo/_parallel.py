@@ -75,7 +75,8 @@ class Work:
             data = executor.submit(_same, data, pure=False)  # once to the cluster, from worker to worker
             submit = executor.get_executor(pure=False).submit
             ahead = max(AHEAD, AHEAD_OF_WORKER * sum(executor.nthreads().values()))
-        return lambda item: submit(_elsewhere, data, is_x64, version(), item), ahead
+        # As bytes: a scheduler, which may hold items for workers, would make records of them, in 32 bits.
+        return lambda item: submit(_elsewhere, data, is_x64, version(), dumps(item)), ahead
 
 
 def _of_call(function: Callable[[Any], Any], item: Any) -> concurrent.futures.Future[Any]:
@@ -92,7 +93,7 @@ def _same(data: bytes) -> bytes:
     return data
 
 
-def _elsewhere(data: bytes, is_x64: bool, of_client: str, item: Any) -> Any:
+def _elsewhere(data: bytes, is_x64: bool, of_client: str, item: bytes) -> Any:
     """Work of another process on an item. Raises `RuntimeError` for another version."""
     if of_client != version():
         raise RuntimeError(
@@ -100,7 +101,7 @@ def _elsewhere(data: bytes, is_x64: bool, of_client: str, item: Any) -> Any:
         )
     try:
         with jax.enable_x64(is_x64):
-            return _made(data)(item)
+            return _made(data)(pickle.loads(item))
     finally:
         _give_back_memory()
 

@@ -62,7 +62,7 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
                     f"scheduler, and workers with: dask worker ADDRESS."
                 ) from error
         stack.enter_context(client)
-        prepare(client)
+        prepare(client, timeout=timeout)
         yield client
 
 
@@ -75,15 +75,22 @@ def check_name(name: str) -> None:
         )
 
 
-def prepare(client: Client) -> None:
+def prepare(client: Client, *, timeout: float = TIMEOUT) -> None:
     """Set up the workers of a client, those that join later too: 64-bit floats as in this process, kept programs.
 
-    Raises `RuntimeError` for workers with another version of jaxgeo, or without it.
+    Raises `ConnectionError` if there is no worker within `timeout` s; `RuntimeError` for workers with another version
+    of jaxgeo, or without it.
     """
     _distributed()
     from jaxgeo.cluster.worker_setup import WorkerSetup
 
     is_x64 = bool(jax.config.jax_enable_x64)  # pyright: ignore
+    try:
+        client.wait_for_workers(1, timeout)
+    except TimeoutError as error:
+        raise ConnectionError(
+            f"no worker joins the scheduler within {timeout:g} s ({client}). Start some with: dask worker ADDRESS."
+        ) from error
     found: Any = client.run(_version_there)
     others = {address: one for address, one in found.items() if one != version()}
     if others:

@@ -12,7 +12,7 @@ from jaxgeo.earth import Atmosphere
 from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns
 from jaxgeo.io.files import DemFiles
 from jaxgeo.io.geoid import degrees_of
-from jaxgeo.io.located import locate_observations
+from jaxgeo.io.located import axis_of, locate_observations
 from jaxgeo.io.located_over_files import locate_over_files
 from jaxgeo.io.observations import ObservationBatch, Observations
 from jaxgeo.io.tables import PIXEL_COLUMNS, poses_of, readings_of
@@ -32,6 +32,7 @@ FOUND = {
     "incidence_surface_deg": "deg",
 }
 STATUS = "status"
+GIVEN = "given "  # before the names of variables, which may be those of dimensions
 UNITS = {
     "deg": ("deg", "degree", "degrees", "degree_north", "degrees_north", "degree_east", "degrees_east"),
     "m": ("m", "metre", "metres", "meter", "meters"),
@@ -61,20 +62,24 @@ def locate_dataset(
     xarray = _xarray()
     if isinstance(terrain, DemFiles) and atmosphere is not None:
         raise ValueError("atmosphere: rays are bent, and a DEM on disk is read along straight ones; use read_dem.")
+    if isinstance(terrain, AbstractTerrain) and axis_of(terrain) == 0:
+        raise ValueError("terrain must be one for all observations; got heights of several.")
     wanted = (*POSE_COLUMNS, *gimbal_columns(sensor.gimbal.names), *PIXEL_COLUMNS)
     if missing := [name for name in wanted if name not in dataset.variables]:
         raise ValueError(f"dataset has no {', '.join(missing)}; its variables must be {', '.join(wanted)}.")
     for name in wanted:
         unit = "pixel" if name in PIXEL_COLUMNS else name.rpartition("_")[2]
-        if (given := dataset[name].attrs.get("units", unit)) not in UNITS[unit]:
+        if (given := str(dataset[name].attrs.get("units", unit))) not in UNITS[unit]:
             raise ValueError(f"dataset: {name} is in {given!r} by its attribute units; convert it to {unit}.")
-    arrays = dict(zip(wanted, xarray.broadcast(*(dataset[name] for name in wanted)), strict=True))
-    whole = xarray.Dataset({name: array.variable for name, array in arrays.items()}, dataset.coords)
+    arrays = xarray.broadcast(*(dataset[name].reset_coords(drop=True) for name in wanted))
+    given = {GIVEN + name: array.variable for name, array in zip(wanted, arrays, strict=True)}
+    coords = {name: x for name, x in dataset.coords.items() if {*x.dims} <= {*arrays[0].dims}}
+    whole = xarray.Dataset(given, coords).unify_chunks()
     setting = (sensor, terrain, atmosphere)
-    whole = whole.unify_chunks()
     if not whole.chunks:
         return _located(whole, *setting)
-    like = whole[wanted[0]]
+    whole = whole.chunk({dim: whole.chunks.get(dim, -1) for dim in arrays[0].dims})
+    like = whole[GIVEN + wanted[0]]
     template = xarray.Dataset({name: xarray.zeros_like(like, dtype) for name, dtype in _dtypes().items()})
     return xarray.map_blocks(_located, whole, args=setting, template=_described(template))
 
@@ -87,7 +92,9 @@ def _located(block: xarray.Dataset, sensor: Sensor, terrain: Any, atmosphere: At
     """The fixes of a block, in memory."""
     xarray = _xarray()
     first = next(iter(block.data_vars.values()))
-    numbers = {str(name): np.asarray(values, np.float64).ravel() for name, values in block.data_vars.items()}
+    given = {str(name).removeprefix(GIVEN): values for name, values in block.data_vars.items()}
+    numbers = {name: np.asarray(values, np.float64).ravel() for name, values in given.items()}
+    numbers["lat_deg"] = np.where(np.abs(numbers["lat_deg"]) <= 90.0, numbers["lat_deg"], np.nan)
     count = first.size
     with jax.enable_x64(True):
         gimbal = readings_of(numbers, sensor.gimbal.names, count)

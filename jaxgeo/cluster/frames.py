@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import os
@@ -11,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from jaxgeo._checks import require_x64
@@ -19,19 +22,30 @@ from jaxgeo._parallel import Work
 from jaxgeo.cluster.parts import MANIFEST, Parts, Run, named
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.io.errors import DemError
 from jaxgeo.io.files import DemFiles
 from jaxgeo.io.fix_parts import FixParts, write_summary
-from jaxgeo.io.located import FEW, SAMPLES_OF_MANY, accuracy_of_observations, axis_of, locate_observations, terrain_at
+from jaxgeo.io.located import (
+    FEW,
+    SAMPLES_OF_MANY,
+    accuracy_of_observations,
+    axis_of,
+    locate_observations,
+    spread,
+    terrain_at,
+)
 from jaxgeo.io.located_over_files import AccuracyOptions, Located, locate_over_files, rays_of
-from jaxgeo.io.observations import Observations
+from jaxgeo.io.observations import ObservationBatch, Observations
 from jaxgeo.status import Status
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty._accuracy import SAMPLES
+from jaxgeo.uncertainty.map_cells import check_level
 
 ROWS = 256  # frames of a part
 MARGIN = 1000.0  # m, of ground read around that of the fixes, for their errors
 CELL = 16  # posts: frames are ordered by squares of the mosaic of this size
 KIND = "fixes"
+PARQUET = b"PAR1"  # its first and last bytes
 
 Ground = AbstractTerrain | DemFiles
 
@@ -105,6 +119,11 @@ def locate_frames(
             "terrain: in an atmosphere rays are bent, and a DEM on disk is read along straight ones; read it with "
             "read_dem, or leave the atmosphere out."
         )
+    if accuracy:
+        check_level(probability)
+    if count is not None and (isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1):
+        raise ValueError(f"count must be an integer of at least 1, samples of a fix; got {count!r}.")
+    observed = _with_latitudes(observed)
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
     files = FixParts.of(
         observed.position,
@@ -123,7 +142,7 @@ def locate_frames(
     setting = Setting(pathlib.Path(folder).absolute(), files, shared, options, float(margin))
     names = named("part-", len(each), ".parquet")
     parts = Parts(setting.folder, KIND, identity(observed, terrain, setting, int(rows)), names)
-    missing = set(parts.open())
+    missing = set(parts.open(_is_whole))
     given = {name: part for name, part in zip(names, each, strict=True) if name in missing}
     work = Work(_located_parts, setting)
     finish = functools.partial(write_summary, setting.folder)
@@ -136,6 +155,10 @@ def parts_of(observed: Observations, terrain: Ground | Sequence[AbstractTerrain]
     each = list(terrain) if isinstance(terrain, Sequence) else [terrain] * len(observed.batches)
     parts = []
     for number, (batch, ground) in enumerate(zip(observed.batches, each, strict=True)):
+        if isinstance(ground, ConstantHeight) and np.size(ground.height) not in (1, len(batch)):
+            raise ValueError(
+                f"terrain: batch {number} has {len(batch)} frames, and its ground {np.size(ground.height)} heights."
+            )
         order = np.arange(len(batch)) if not isinstance(ground, DemFiles) else _order(batch, ground)
         for index in np.array_split(order, -(-len(batch) // rows)):
             some = observed.part(number, index)
@@ -146,6 +169,27 @@ def parts_of(observed: Observations, terrain: Ground | Sequence[AbstractTerrain]
         told = [reasons[row] for row in some.tolist()]
         parts.append(Part(some, None, None, [observed.columns[row] for row in some.tolist()], told))
     return parts
+
+
+def _with_latitudes(observed: Observations) -> Observations:
+    """Observations with NaN for latitudes beyond the poles, where there is nothing: `locate` does not look at them."""
+
+    def of_poles(batch: ObservationBatch) -> ObservationBatch:
+        lat = np.asarray(batch.shots.pose.position.lat)
+        lat = np.where(np.abs(lat) <= 0.5 * np.pi, lat, np.nan)
+        place: Any = lambda one: one.exposure.motion.pose.position.lat  # noqa: E731
+        return dataclasses.replace(batch, observation=eqx.tree_at(place, batch.observation, lat))
+
+    return dataclasses.replace(observed, batches=tuple(map(of_poles, observed.batches)))
+
+
+def _is_whole(path: pathlib.Path) -> bool:
+    """Whether a file ends as a Parquet file does."""
+    if not path.exists() or path.stat().st_size < 2 * len(PARQUET):
+        return False
+    with path.open("rb") as file:
+        file.seek(-len(PARQUET), os.SEEK_END)
+        return file.read() == PARQUET
 
 
 def _split(rows: np.ndarray, most: int) -> list[np.ndarray]:
@@ -179,7 +223,10 @@ def _spread_bits(numbers: np.ndarray) -> np.ndarray:
 
 def identity(observed: Observations, terrain: Any, setting: Setting, rows: int) -> dict[str, str]:
     """What results depend on, by name."""
-    batches = [(one.observation, one.sources, one.rows, one.is_one_camera) for one in observed.batches]
+    has_errors = setting.accuracy is not None
+    batches = [
+        (one.observation, one.sources if has_errors else None, one.rows, one.is_one_camera) for one in observed.batches
+    ]
     ground, out = terrain.identity if isinstance(terrain, DemFiles) else terrain, setting.files
     return {
         "frames": digest_of((batches, repr(observed.columns), observed.reasons)),
@@ -187,7 +234,7 @@ def identity(observed: Observations, terrain: Any, setting: Setting, rows: int) 
         "accuracy": str(setting.accuracy and tuple(setting.accuracy)),
         "output": digest_of((f"{out.crs!r} {out.heights!r}", out.mgrs, out.ellipses)),
         "rows of a part": str(rows),
-        "margin": f"{setting.margin:g} m",
+        "margin": f"{setting.margin!r} m" if has_errors and isinstance(terrain, DemFiles) else "",
     }
 
 
@@ -199,14 +246,37 @@ def _locate_part(setting: Setting, item: tuple[str, Part]) -> dict[str, int]:
     """Compute and write a part; returns the count of each status by name."""
     name, part = item
     check_seen(setting.folder)
-    found = _found(setting, part)
+    found = _found_of_all(setting, part)
     setting.files.write(setting.folder / name, found.fixes, found.accuracy, part.rows, part.columns, found.reasons)
     return dict(Counter(Status(int(code)).name for code in np.asarray(found.fixes.status)))
 
 
+def _found_of_all(setting: Setting, part: Part) -> Located:
+    """The fixes of a part; a frame that is refused is a row with its reason."""
+    try:
+        return _found(setting, part)
+    except DemError:  # of the terrain; another run may find it in order
+        raise
+    except ValueError as error:
+        if part.observed is None or len(part.rows) == 1:
+            return Located(_without_fix(len(part.rows), Status.invalid_input), None, [str(error)] * len(part.rows))
+    each = [_found_of_all(setting, _row(part, k)) for k in range(len(part.rows))]
+    fixes = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(one.fixes for one in each))
+    own = [(np.array([k]), one.accuracy) for k, one in enumerate(each) if one.accuracy is not None]
+    accuracy = spread([one for _, one in own], [rows for rows, _ in own], fixes) if own else None
+    return Located(fixes, accuracy, [one.reasons[0] for one in each])
+
+
+def _row(part: Part, k: int) -> Part:
+    """One row of a part."""
+    assert part.observed is not None
+    own = None if part.ground is None else terrain_at(part.ground, np.array([k]))
+    return Part(part.rows[[k]], part.observed.part(0, np.array([k])), own, [part.columns[k]], [part.reasons[k]])
+
+
 def _found(setting: Setting, part: Part) -> Located:
     if part.observed is None:
-        return Located(_not_read(len(part.rows)), None, part.reasons)
+        return Located(_without_fix(len(part.rows), Status.file_not_read), None, part.reasons)
     ground = setting.ground if part.ground is None else part.ground
     if isinstance(ground, DemFiles):
         margin = 0.0 if setting.accuracy is None else setting.margin
@@ -238,8 +308,8 @@ def check_seen(folder: pathlib.Path) -> None:
         )
 
 
-def _not_read(count: int) -> Fix:
-    """Fixes of frames whose files could not be read."""
-    unknown, status = np.full(count, np.nan), np.full(count, Status.file_not_read, np.int8)
+def _without_fix(count: int, status: Status) -> Fix:
+    """Fixes of frames that have none."""
+    unknown, codes = np.full(count, np.nan), np.full(count, status, np.int8)
     position = Geodetic(lat=unknown, lon=unknown, height=unknown)
-    return Fix(position, np.full((count, 3), np.nan), unknown, unknown, unknown, unknown, status)
+    return Fix(position, np.full((count, 3), np.nan), unknown, unknown, unknown, unknown, codes)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future
 from typing import Any, NamedTuple
 
 from jaxgeo._parallel import Work, version
@@ -46,20 +48,33 @@ class Parts(NamedTuple):
     identity: Mapping[str, str]
     names: tuple[str, ...]
 
-    def open(self) -> list[str]:
+    def open(self, is_whole: Callable[[pathlib.Path], bool] = pathlib.Path.exists) -> list[str]:
         """Make the folder, or check that it holds parts of the same results; returns the names of missing parts.
+
+        `is_whole` tells whether the file of a part is whole.
 
         Raises `ValueError` for a folder with something else; `OSError` if it cannot be written.
         """
         path = self.folder / MANIFEST
         if path.exists():
             self._check(path)
-        elif self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+        elif self.folder.exists() and (not self.folder.is_dir() or any(map(_is_foreign, self.folder.iterdir()))):
             raise ValueError(f"{self.folder}: it exists, and is no folder of parts; give another one.")
         else:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._write({})
-        return [name for name in self.names if not (self.folder / name).exists()]
+            self._begin(path)
+        return [name for name in self.names if not is_whole(self.folder / name)]
+
+    def _begin(self, path: pathlib.Path) -> None:
+        """Write the first list, unless another run was faster, which must be of the same results."""
+        with partial_file(path) as partial:
+            partial.write_text(self._content({}), encoding="utf-8")
+            try:
+                os.link(partial, path)
+            except FileExistsError:
+                self._check(path)
+            except OSError:  # a file system without links
+                os.replace(partial, path)
 
     def _check(self, path: pathlib.Path) -> None:
         try:
@@ -81,7 +96,13 @@ class Parts(NamedTuple):
         return {**self.identity, "version of jaxgeo": version()}
 
     def _write(self, failed: Mapping[str, str]) -> None:
-        """Write the list: for each part whether it is whole, and why not."""
+        path = self.folder / MANIFEST
+        with partial_file(path) as partial:
+            partial.write_text(self._content(failed), encoding="utf-8")
+            os.replace(partial, path)
+
+    def _content(self, failed: Mapping[str, str]) -> str:
+        """The list: for each part whether it is whole, and why not."""
         parts = [
             {
                 "file": name,
@@ -91,10 +112,17 @@ class Parts(NamedTuple):
             for name in self.names
         ]
         content = {"format": FORMAT, "kind": self.kind, "identity": self._identity(), "parts": parts}
-        path = self.folder / MANIFEST
-        with partial_file(path) as partial:
-            partial.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
-            os.replace(partial, path)
+        return json.dumps(content, indent=1, ensure_ascii=False)
+
+    def _error_of(self, future: Future[Any]) -> BaseException | None:
+        try:
+            return future.exception()
+        except CancelledError:
+            whole = sum((self.folder / name).exists() for name in self.names)
+            raise ConnectionError(
+                f"{self.folder}: the cluster has ended; {whole} of {len(self.names)} parts are whole. The same call "
+                f"computes the missing ones."
+            ) from None
 
     def compute(
         self,
@@ -108,7 +136,7 @@ class Parts(NamedTuple):
         """Compute missing parts: `missing` has the input of each by its name, and `work` returns its counts.
 
         `finish` is called with the names of all parts when all are whole. Raises `PartsFailed` after all others are
-        computed.
+        computed, `ConnectionError` if the cluster ends.
         """
         counts: Counter[str] = Counter()
         failed: dict[str, str] = {}
@@ -116,18 +144,24 @@ class Parts(NamedTuple):
         with _bar(progress, total) as advance:
             try:
                 for (name, given), future in work.results(missing.items(), executor):
-                    error = future.exception()
+                    error = self._error_of(future)
                     if error is None:
                         counts.update(future.result())
                     else:
                         failed[name] = _reason(error)
                     advance(count_of(given), len(failed))
             finally:
-                self._write(failed)
+                with contextlib.suppress(OSError):  # a full disk; whether parts are whole is told by their files
+                    self._write(failed)
         if failed:
             raise PartsFailed(self.folder, failed, len(self.names))
         finish(self.names)
         return Run(self.folder, self.names, len(missing), dict(counts))
+
+
+def _is_foreign(path: pathlib.Path) -> bool:
+    """Whether a file is not one that a killed process left behind."""
+    return not path.name.startswith(".jaxgeo-")
 
 
 def _reason(error: BaseException) -> str:

@@ -243,7 +243,7 @@ def checked_attributes(name: str, attributes: Any, count: int, taken: set[str]) 
         return [{} for _ in range(count)]
     if not isinstance(attributes, list | tuple) or not all(isinstance(one, Mapping) for one in attributes):
         raise ValueError(f"{name}: attributes must be a list of mappings; got {type(attributes).__name__}.")
-    rows = [{str(key): _plain(value) for key, value in one.items()} for one in attributes]
+    rows = [{str(key): plain(value) for key, value in one.items()} for one in attributes]
     if len(rows) != count:
         raise ValueError(f"{name}: attributes must be one mapping for each of {count} fixes; got {len(rows)}.")
     for i, row in enumerate(rows):
@@ -263,7 +263,8 @@ def checked_attributes(name: str, attributes: Any, count: int, taken: set[str]) 
     return rows
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value of NumPy or JAX as one of Python."""
     return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) and np.ndim(value) == 0 else value
 
 

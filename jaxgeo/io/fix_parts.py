@@ -12,7 +12,7 @@ import numpy as np
 from jaxgeo._destination import destination
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
-from jaxgeo.io._fix_columns import figures_of, no_figures
+from jaxgeo.io._fix_columns import figures_of, no_figures, plain
 from jaxgeo.io._fix_formats import as_parquet
 from jaxgeo.io._map_crs import map_crs
 from jaxgeo.io.fix_files import _extent, _table_of, check_fix_file
@@ -62,7 +62,7 @@ class FixParts:
         how: dict[str, Any] = {"mgrs": mgrs, "probability": probability}
         check_fix_file("fixes.parquet", crs, heights, near, attributes=attributes, **how)
         lat, lon, _ = degrees_of(near)
-        kinds = {name: {type(row[name]) for row in attributes} - {type(None)} for name in attributes[0]}
+        kinds = {name: {type(plain(row[name])) for row in attributes} - {type(None)} for name in attributes[0]}
         types = {name: _type_of(found) for name, found in kinds.items()}
         return cls(crs, heights, mgrs, ellipses and probability is not None, probability, _extent(lon, lat), types)
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from support.survey import survey, write_tiles
 
@@ -160,6 +161,45 @@ def _compiled_here() -> int:
     from jaxgeo._program_store import Programs
 
     return Programs.count  # pyright: ignore
+
+
+@pytest.fixture
+def scheduler() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """The address of a scheduler in a process of its own, without a word about 64-bit floats, and with one worker."""
+    address = "tcp://127.0.0.1:18786"
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_ENABLE_X64"}
+    python = [sys.executable, "-c"]
+    main = "import sys; from distributed.cli.{0} import main; sys.argv = ['dask-{1}', *sys.argv[1:]]; main()"
+    started = subprocess.Popen(
+        [*python, main.format("dask_scheduler", "scheduler"), "--port", "18786", "--no-dashboard"], env=environment
+    )
+    worker = subprocess.Popen(
+        [*python, main.format("dask_worker", "worker"), address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+        env=environment,
+    )
+    yield address, started
+    for process in (worker, started):
+        process.kill()
+        process.wait()
+
+
+def test_a_scheduler_of_its_own_and_its_end(tmp_path: pathlib.Path, scheduler, frames: Observations) -> None:
+    address, process = scheduler
+    few = frames.part(0, np.arange(40))
+    with connect(address) as client:
+        run = locate_frames(tmp_path / "fixes", few, jaxgeo.ConstantHeight(600.0), client=client, rows=10)
+        assert run.counts == {"hit": 40}
+        folder = tmp_path / "ended"
+
+        def kill() -> None:
+            wait_for(folder, 3)
+            process.kill()
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        with pytest.raises(ConnectionError, match=r"the cluster has ended; \d+ of 2000 parts are whole"):
+            locate_frames(folder, frames, jaxgeo.ConstantHeight(600.0), client=client, rows=1)
+        killer.join()
 
 
 def test_workers_of_another_version_are_refused(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:

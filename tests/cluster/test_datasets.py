@@ -64,6 +64,34 @@ def test_the_fixes_are_those_of_observations(frames: Any, sensor: jaxgeo.Sensor)
     assert np.isnan(found["fix_lon_deg"][:, 2]).all()
 
 
+@pytest.mark.parametrize("chunked", [["u", "v"], ["height_m"], ["lat_deg"]])
+def test_some_variables_may_be_those_of_dask(frames: Any, sensor: jaxgeo.Sensor, chunked: list[str]) -> None:
+    mixed = frames.assign({name: frames[name].chunk() for name in chunked})
+    found = locate_dataset(mixed, sensor, GROUND)
+    assert found["status"].chunks is not None
+    xarray.testing.assert_identical(found.compute(), locate_dataset(frames, sensor, GROUND))
+
+
+def test_what_is_given_may_be_coordinates(frames: Any, sensor: jaxgeo.Sensor) -> None:
+    """Of a dimension too: a picture's columns."""
+    found = locate_dataset(frames.set_coords(["lat_deg", "lon_deg"]).isel(pixel=[0, 1]), sensor, GROUND)
+    alone = locate_dataset(frames, sensor, GROUND)
+    np.testing.assert_array_equal(found["fix_lat_deg"], alone["fix_lat_deg"][:, :2])
+    columns = frames.drop_vars("u").isel(pixel=0).assign(u=("u", [1999.5, 100.0])).chunk(frame=6)
+    assert locate_dataset(columns, sensor, GROUND).compute().sizes == {"frame": 12, "u": 2}
+
+
+def test_a_latitude_beyond_the_pole_has_no_fix(frames: Any, sensor: jaxgeo.Sensor) -> None:
+    found = locate_dataset(frames.assign(lat_deg=frames["lat_deg"] + 95.0), sensor, GROUND)
+    assert (found["status"][:, 0] == int(Status.invalid_input)).all()
+    assert np.isnan(found["fix_lat_deg"]).all()
+
+
+def test_ground_of_several_heights_is_refused(frames: Any, sensor: jaxgeo.Sensor) -> None:
+    with pytest.raises(ValueError, match="one for all"):
+        locate_dataset(frames, sensor, jaxgeo.ConstantHeight(np.full(12, 600.0)))
+
+
 def test_over_a_dem_on_disk(tmp_path: pathlib.Path, frames: Any, sensor: jaxgeo.Sensor) -> None:
     files = open_dem(write_tiles(tmp_path, down=1, across=1, posts=60), vertical_datum="ellipsoid")
     lazily = locate_dataset(frames.chunk(frame=6), sensor, files).compute()

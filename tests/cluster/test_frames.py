@@ -11,11 +11,14 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 import pytest
 from support.survey import ridge_at, survey, write_tiles
 
 import jaxgeo
+import jaxgeo.cluster.frames
+import jaxgeo.cluster.parts
 from jaxgeo.cluster import PartsFailed, connect, locate_frames, statuses_of
 from jaxgeo.cluster.parts import MANIFEST
 from jaxgeo.io import ImageError, Observations, open_dem, read_dem
@@ -172,6 +175,77 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path, frames: Observations
     assert [path.read_text() for path in tmp_path.iterdir()] == [text]
 
 
+@pytest.mark.parametrize("damage", [b"", b"PAR1 and then nothing"])
+def test_a_damaged_part_is_computed_again(tmp_path: pathlib.Path, frames: Observations, damage: bytes) -> None:
+    run = locate_frames(tmp_path / "fixes", frames, GROUND, rows=20)
+    before = content(run.folder)
+    (run.folder / run.parts[1]).write_bytes(damage)
+    assert locate_frames(tmp_path / "fixes", frames, GROUND, rows=20).computed == 1
+    assert content(run.folder) == before
+
+
+def test_a_frame_that_is_refused_is_a_row_with_its_reason(tmp_path, frames: Observations, monkeypatch) -> None:
+    """One beyond the pole, and one that the computation refuses; the others of their part are as without them."""
+    (batch,) = frames.batches
+    lat = np.array(batch.shots.pose.position.lat)
+    lat[3] = 4.0
+    observation = eqx.tree_at(lambda one: one.exposure.motion.pose.position.lat, batch.observation, lat)
+    wrong = dataclasses.replace(batch, observation=observation)
+    usual = jaxgeo.cluster.frames.locate_observations
+
+    def refuse(observed: Observations, *args: Any) -> Any:
+        if any(row["name"] == "frame 7" for row in observed.columns):
+            raise ValueError("frame 7 is refused")
+        return usual(observed, *args)
+
+    monkeypatch.setattr(jaxgeo.cluster.frames, "locate_observations", refuse)
+    run = locate_frames(tmp_path / "fixes", dataclasses.replace(frames, batches=(wrong,)), GROUND)
+    found = table(run.folder, run.parts)
+    assert found["status"] == ["invalid_input" if k in (3, 7) else "hit" for k in range(60)]
+    assert found["status_text"][7] == "frame 7 is refused"
+    assert found["fix_lat_deg"][3] is None
+
+
+def test_a_folder_that_only_a_killed_process_was_in_is_used(tmp_path: pathlib.Path, frames: Observations) -> None:
+    (tmp_path / ".jaxgeo-0badcafe-1-00000000.partial").write_text("{")
+    assert locate_frames(tmp_path, frames, GROUND).computed == 1
+
+
+def test_of_two_runs_at_once_one_is_refused(tmp_path: pathlib.Path, frames: Observations, monkeypatch) -> None:
+    """The other made its list after this one had looked for it."""
+    begin = jaxgeo.cluster.parts.Parts._begin
+
+    def later(self: Any, path: pathlib.Path) -> None:
+        monkeypatch.setattr(jaxgeo.cluster.parts.Parts, "_begin", begin)
+        locate_frames(tmp_path / "fixes", frames, jaxgeo.ConstantHeight(601.0))
+        begin(self, path)
+
+    monkeypatch.setattr(jaxgeo.cluster.parts.Parts, "_begin", later)
+    with pytest.raises(ValueError, match="with other terrain"):
+        locate_frames(tmp_path / "fixes", frames, GROUND)
+
+
+def test_attributes_may_be_numbers_of_numpy(tmp_path: pathlib.Path, frames: Observations) -> None:
+    kinds = {"whole": np.int64, "number": np.float32, "flag": np.bool_}
+    columns = [{name: kind(k % 2) for name, kind in kinds.items()} for k in range(60)]
+    run = locate_frames(tmp_path / "fixes", dataclasses.replace(frames, columns=columns), GROUND)
+    found = table(run.folder, run.parts)
+    assert [found[name][:2] for name in kinds] == [[0, 1], [0.0, 1.0], [False, True]]
+
+
+def test_what_does_not_change_the_results_does_not_count(tmp_path: pathlib.Path, frames: Observations) -> None:
+    """Errors and their margin, without accuracy."""
+    locate_frames(tmp_path, frames, GROUND)
+    (batch,) = frames.batches
+    other = dataclasses.replace(frames, batches=(dataclasses.replace(batch, sources=()),))
+    assert locate_frames(tmp_path, other, GROUND, margin=5.0).computed == 0
+
+
+def test_heights_of_another_number_of_frames_are_refused(tmp_path: pathlib.Path, frames: Observations) -> None:
+    with pytest.raises(ValueError, match="60 frames, and its ground 4 heights"):
+        locate_frames(tmp_path, frames, [jaxgeo.ConstantHeight(np.full(4, 600.0))])
+
+
 def test_a_missing_tile_stops_only_its_parts(tmp_path: pathlib.Path, frames: Observations) -> None:
     tiles = write_tiles(tmp_path, down=1, across=3, posts=300)
     frames = survey(40, (9000.0, 27000.0), seed=3)
@@ -225,9 +299,12 @@ def test_bent_rays_are_refused_over_a_dem_on_disk(tmp_path: pathlib.Path, frames
         locate_frames(tmp_path, bent, open_dem(tiles, vertical_datum="ellipsoid"))
 
 
-@pytest.mark.parametrize("given", [{"rows": 0}, {"margin": -1.0}, {"margin": float("nan")}])
+@pytest.mark.parametrize(
+    "given",
+    [{"rows": 0}, {"margin": -1.0}, {"margin": float("nan")}, {"count": 0}, {"probability": 2.0, "accuracy": True}],
+)
 def test_wrong_numbers_are_refused(tmp_path: pathlib.Path, frames: Observations, given: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=f"{next(iter(given))} must be"):
+    with pytest.raises(ValueError, match=f"{next(iter(given))} must"):
         locate_frames(tmp_path / "fixes", frames, GROUND, **given)
     assert not (tmp_path / "fixes").exists()
 
