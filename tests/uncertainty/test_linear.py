@@ -15,6 +15,7 @@ from jaxgeo import ConstantHeight, FirstHit, Pose, Shot
 from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sources
 from jaxgeo.uncertainty.linear import AXES, derivatives
 from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.slopes import AbstractSlope, Surface
 from tests.support import looks
 
 SEARCH = FirstHit()
@@ -108,6 +109,27 @@ def test_terrain_height_moves_the_hit_by_the_tangent_of_the_incidence() -> None:
     aside = math.sqrt(float(np.trace(result.cov_enu[:2, :2])))
     assert aside == pytest.approx(2.0 * math.tan(float(result.fix.incidence_ellipsoid)), abs=1e-6)
     assert float(result.cov_enu[2, 2]) == pytest.approx(4.0, abs=1e-6)
+
+
+class _Rough(AbstractSlope):
+    """A level plane 2 m above the fix, about which the ground deviates by 3 m."""
+
+    def surface(self, terrain, nominal, facet, spread) -> Surface:  # pyright: ignore
+        del terrain, nominal, facet, spread
+        return Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (2.0, 3.0, 1.0)))
+
+
+def test_rough_ground_adds_the_variance_of_its_heights_along_the_line_of_sight() -> None:
+    """By hand: a height h above the plane moves the fix by h upwards, and by h times tan(incidence) back."""
+    sensor = jaxgeo.Sensor(looks.sensor().camera, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
+    shot = Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=5000.0), jnp.deg2rad(jnp.array([60.0, 0.0])))
+    scene = (sensor, shot, looks.UV, ConstantHeight(200.0), ErrorModel((sources.TerrainHeight.from_metres(1.0),)))
+    rough = propagate(*scene, slope=_Rough())
+    tan = math.tan(float(rough.fix.incidence_ellipsoid))
+    assert float(rough.cov_enu[2, 2]) == pytest.approx(1.0 + 3.0**2, rel=1e-9)
+    assert float(np.trace(rough.cov_enu[:2, :2])) == pytest.approx((1.0 + 3.0**2) * tan**2, rel=1e-6)
+    assert float(rough.bias_enu[2]) == pytest.approx(2.0, rel=1e-9)
+    assert math.hypot(*np.asarray(rough.bias_enu[:2])) == pytest.approx(2.0 * tan, rel=1e-6)
 
 
 @pytest.mark.slow
