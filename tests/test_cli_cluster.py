@@ -95,7 +95,10 @@ def test_failed_parts_are_told_and_the_others_kept(tmp_path, flight: pathlib.Pat
     "more, words",
     [
         (["--cluster", "local:2"], "--cluster needs --output FOLDER"),
-        (["--cluster", "lokal", "-o", "fixes"], "--cluster lokal: no scheduler file of this name; give"),
+        (
+            ["--cluster", "lokal", "-o", "fixes"],
+            "--cluster lokal: this is not local, local:N (N workers), an address such as tcp://host:8786, or an",
+        ),
         (["--cluster", "local:2", "-o", "fixes", "--format", "csv"], "--format does not go with --cluster"),
         (["--cluster", "local:2", "-o", "a.jpg"], "this is a file; name a folder"),
         (["--resume"], "--resume needs --cluster"),

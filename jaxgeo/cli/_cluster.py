@@ -58,7 +58,7 @@ class ClusterOptions(OptionGroup):
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[Any]:
-        """A client of Dask; its dashboard is told on stderr."""
+        """A client of Dask; the address of its dashboard is printed on stderr."""
         from jaxgeo.cluster import connect
 
         assert self.cluster is not None

@@ -36,9 +36,9 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
     `FileNotFoundError` for a missing scheduler file, `RuntimeError` for workers with another version of jaxgeo, and
     `ImportError` without the extra.
     """
-    distributed = _distributed()
     name = os.fspath(cluster)
     check_name(name)
+    distributed = _distributed()
     with contextlib.ExitStack() as stack:
         if found := LOCAL.fullmatch(name):
             import dask.config
@@ -67,11 +67,12 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
 
 
 def check_name(name: str) -> None:
-    """Raise `FileNotFoundError` for a name of a cluster that is none of those of `connect`."""
+    """Raise `FileNotFoundError` for a name that is none of those of `connect`, `ImportError` without the extra."""
+    _distributed()
     if LOCAL.fullmatch(name) is None and "://" not in name and not pathlib.Path(name).is_file():
         raise FileNotFoundError(
-            f'cluster "{name}": no scheduler file of this name; give "local", "local:4", "tcp://host:8786", or the '
-            f"file that dask scheduler --scheduler-file FILE writes."
+            f'cluster "{name}": this is not local, local:N (N workers), an address such as tcp://host:8786, or an '
+            f"existing scheduler file (dask scheduler --scheduler-file FILE writes one)."
         )
 
 
@@ -122,5 +123,5 @@ def _distributed() -> Any:
     try:
         import distributed
     except ImportError:
-        raise ImportError("clusters of Dask need the library distributed: pip install 'jaxgeo[cluster]'") from None
+        raise ImportError("running on a cluster needs Dask: pip install 'jaxgeo[cluster]'") from None
     return distributed

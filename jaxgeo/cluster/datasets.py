@@ -13,7 +13,7 @@ from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns
 from jaxgeo.io.files import DemFiles
 from jaxgeo.io.geoid import degrees_of
 from jaxgeo.io.located import axis_of, locate_observations
-from jaxgeo.io.located_over_files import locate_over_files
+from jaxgeo.io.located_over_files import check_straight, locate_over_files
 from jaxgeo.io.observations import ObservationBatch, Observations
 from jaxgeo.io.tables import PIXEL_COLUMNS, poses_of, readings_of
 from jaxgeo.observation import Exposure, Observation
@@ -60,8 +60,7 @@ def locate_dataset(
     """
     require_x64()
     xarray = _xarray()
-    if isinstance(terrain, DemFiles) and atmosphere is not None:
-        raise ValueError("atmosphere: rays are bent, and a DEM on disk is read along straight ones; use read_dem.")
+    check_straight(terrain, atmosphere)
     if isinstance(terrain, AbstractTerrain) and axis_of(terrain) == 0:
         raise ValueError("terrain must be one for all observations; got heights of several.")
     wanted = (*POSE_COLUMNS, *gimbal_columns(sensor.gimbal.names), *PIXEL_COLUMNS)

@@ -34,7 +34,7 @@ from jaxgeo.io.located import (
     spread,
     terrain_at,
 )
-from jaxgeo.io.located_over_files import AccuracyOptions, Located, locate_over_files, rays_of
+from jaxgeo.io.located_over_files import AccuracyOptions, Located, check_straight, locate_over_files, rays_of
 from jaxgeo.io.observations import ObservationBatch, Observations
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
@@ -114,11 +114,7 @@ def locate_frames(
         raise ValueError(f"margin must be a distance in m, 0 or more; got {margin!r}.")
     if not observed.batches:
         raise ValueError("observed has no frame that could be read.")
-    if isinstance(terrain, DemFiles) and observed.atmosphere is not None:
-        raise ValueError(
-            "terrain: in an atmosphere rays are bent, and a DEM on disk is read along straight ones; read it with "
-            "read_dem, or leave the atmosphere out."
-        )
+    check_straight(terrain, observed.atmosphere)
     if accuracy:
         check_level(probability)
     if count is not None and (isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1):

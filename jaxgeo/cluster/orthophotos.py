@@ -31,6 +31,7 @@ from jaxgeo.io.ground_of_image import image_raster
 from jaxgeo.io.images import Bands as ImageBands
 from jaxgeo.io.images import check_size, opened
 from jaxgeo.io.located import axis_of
+from jaxgeo.io.located_over_files import check_straight
 from jaxgeo.io.map_raster import MapRaster, checked_crs
 from jaxgeo.io.observations import Observations
 from jaxgeo.io.rectified import RectifiedFile, rectify_file, status_file
@@ -163,11 +164,7 @@ def _checked_ground(observed: Observations, terrain: Any) -> Ground:
         raise TypeError(f"terrain must be a terrain, or a DEM on disk (open_dem); got {type(terrain).__name__}.")
     if isinstance(terrain, AbstractTerrain) and axis_of(terrain) == 0:
         raise ValueError("terrain must be one for all frames; got one with a leading axis.")
-    if isinstance(terrain, DemFiles) and observed.atmosphere is not None:
-        raise ValueError(
-            f"{observed.source}: in an atmosphere rays are bent, and a DEM on disk is read along straight ones; read "
-            f"it into memory with read_dem, or leave the atmosphere out."
-        )
+    check_straight(terrain, observed.atmosphere)
     return terrain
 
 

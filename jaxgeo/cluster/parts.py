@@ -7,7 +7,7 @@ import json
 import os
 import pathlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from typing import Any, NamedTuple
 
@@ -151,7 +151,7 @@ class Parts(NamedTuple):
                         failed[name] = _reason(error)
                     advance(count_of(given), len(failed))
             finally:
-                with contextlib.suppress(OSError):  # a full disk; whether parts are whole is told by their files
+                with contextlib.suppress(OSError):  # a full disk; a part is whole if its file is there
                     self._write(failed)
         if failed:
             raise PartsFailed(self.folder, failed, len(self.names))
@@ -204,9 +204,3 @@ def named(prefix: str, count: int, suffix: str) -> tuple[str, ...]:
     """File names of parts, in order."""
     digits = max(5, len(str(count)))
     return tuple(f"{prefix}{number:0{digits}d}{suffix}" for number in range(count))
-
-
-def iterate(names: Sequence[str], values: Sequence[Any], missing: Sequence[str]) -> Iterator[tuple[str, Any]]:
-    """(name, value) of the missing ones, in order."""
-    left = set(missing)
-    return ((name, value) for name, value in zip(names, values, strict=True) if name in left)

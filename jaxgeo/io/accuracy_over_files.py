@@ -17,7 +17,7 @@ from jaxgeo.io.accuracy_map import bands_of, tags_of
 from jaxgeo.io.errors import WindowTooLarge
 from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.ground_of_image import POSTS, load_window, window_of_image
-from jaxgeo.io.located_over_files import LARGEST, SIDE, SMALLEST, WIDER, reaches_beyond
+from jaxgeo.io.located_over_files import LARGEST, SIDE, SMALLEST, WIDER, check_straight, reaches_beyond
 from jaxgeo.io.map_raster import MapRaster, raster_of, terrain_spacing
 from jaxgeo.io.windows import Bounds, Window
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
@@ -71,12 +71,8 @@ def area_raster(
 
 def check_map(sensor: Sensor, shot: Motion, terrain: AbstractTerrain | DemFiles, errors: Any, how: Any) -> None:
     """Raises as `accuracy_map` for its arguments, and `ValueError` for an atmosphere over a DEM on disk."""
+    check_straight(terrain, how.get("atmosphere"))
     if isinstance(terrain, DemFiles):
-        if how.get("atmosphere") is not None:
-            raise ValueError(
-                f"{terrain.source.name}: in an atmosphere rays are bent, and a DEM on disk is read along straight "
-                f"ones; read it into memory with read_dem, or leave the atmosphere out."
-            )
         terrain = terrain.forgetful().load(Window(0, 0, 2, 2), whole_ceiling=False)
     checked_map(sensor, shot, terrain, errors, **how)
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._compile import long_run_filter_jit
+from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
 from jaxgeo.io.errors import WindowTooLarge
@@ -66,11 +67,7 @@ def locate_over_files(
     windows are those of straight ones.
     """
     (batch,) = observed.batches
-    if observed.atmosphere is not None:
-        raise ValueError(
-            f"{observed.source}: in an atmosphere rays are bent, and a DEM on disk is read along straight ones; read "
-            f"it into memory with read_dem, or leave the atmosphere out."
-        )
+    check_straight(files, observed.atmosphere)
     files = files.forgetful()
     rays, seen = rays_of(batch)
     fixes = no_answers(len(batch))
@@ -88,6 +85,15 @@ def locate_over_files(
                     found.append((part, own[1]))
     status = np.where(seen == Status.hit, status, seen)
     return Located(dataclasses.replace(fixes, status=status), _joined(found, fixes), reasons)
+
+
+def check_straight(terrain: Any, atmosphere: Atmosphere | None) -> None:
+    """Raise `ValueError` for an atmosphere over a DEM on disk, of which windows are read along straight rays."""
+    if isinstance(terrain, DemFiles) and atmosphere is not None:
+        raise ValueError(
+            "an atmosphere bends rays, and a DEM on disk is read along straight ones: read the DEM with read_dem, or "
+            "leave the atmosphere out."
+        )
 
 
 def rays_of(batch: ObservationBatch) -> tuple[Ray, np.ndarray]:

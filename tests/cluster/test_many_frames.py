@@ -311,7 +311,7 @@ def test_wrong_numbers_are_refused(tmp_path: pathlib.Path, frames: Observations,
 
 @pytest.mark.parametrize(
     "name, error, words",
-    [("lokal", FileNotFoundError, "local:4"), ("tcp://127.0.0.1:9", ConnectionError, "dask scheduler")],
+    [("lokal", FileNotFoundError, "local:N"), ("tcp://127.0.0.1:9", ConnectionError, "dask scheduler")],
 )
 def test_a_cluster_that_is_not_there(name: str, error: type[Exception], words: str) -> None:
     pytest.importorskip("distributed")

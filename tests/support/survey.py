@@ -19,7 +19,7 @@ CRS = "EPSG:32632"
 
 
 def height_at(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Height in m of made-up hills."""
+    """Height in m of synthetic hills."""
     x, y = east - EAST, NORTH - north
     return 600.0 + 250.0 * np.sin(y / 1700.0) * np.cos(x / 2300.0) + 60.0 * np.sin(y / 311.0 + x / 417.0)
 
