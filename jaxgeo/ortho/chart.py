@@ -77,7 +77,8 @@ def charted_cells(view: View, chart: Chart, by_row: Array, by_col: Array, sound:
     spread = tuple(parts[0] + parts[1] + parts[2] + parts[3])
     height, status = where_any(sound, lambda row, col: heights_at(view, row, col), *spread[-2:])
     some = jnp.any(status == Status.hit)
-    return where_any(some, lambda *given: _seen_cells(view, given[2:], *given[:2]), height, status, *spread)
+    cells = where_any(some, lambda *given: _seen_cells(view, given[2:], *given[:2]), height, status, *spread)
+    return cells._replace(status=jnp.where(some, cells.status, status))
 
 
 def basis(cells: Float[Array, " n"], last: Scalar) -> Float[Array, "n nodes"]:

@@ -32,7 +32,7 @@ from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
 
 TILE = 512  # cells on a side, at most
-STRIP = 32  # rows of a tile per step, so that arrays stay in the processor's caches
+STRIP, ACROSS = 32, 128  # rows and columns of a tile per step, so that arrays stay in the processor's caches
 SEARCHED = 1024  # lines of sight per call: one size, compiled once
 BILINEAR = Bilinear()
 COARSEST = 6  # halvings of an image, at most
@@ -137,7 +137,10 @@ class Rectifier:
         level = self._level_for(*(np.asarray(x) for x in (found.lattice.u, found.lattice.v, found.lattice.status)))
         least_sine = self._open_sight and self._open_sight.least_sine(*np.asarray(found.on_terrain))
         pixels = self._at_level(level)
-        return _filled(self.view, found.chart, pixels, jnp.asarray(2.0**level), least_sine, self._how, shape)
+        side = max(TILE, -(-max(shape) // ACROSS) * ACROSS)
+        size = jnp.asarray(2.0**level)
+        filled = _filled(self.view, found.chart, pixels, size, least_sine, jnp.asarray(shape), self._how, side)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[..., : shape[0], : shape[1]], filled)
 
     def _one_by_one(self, corner: Array, shape: tuple[int, int]) -> Filled:
         """A tile by exact projection of each cell."""
@@ -308,25 +311,32 @@ def _filled(
     pixels: Pixels,
     size: ArrayLike,
     least_sine: Array | None,
+    shape: Array,
     how: How,
-    shape: tuple[int, int],
+    side: int,
 ) -> Filled:
-    """A tile filled by its chart, strip by strip."""
-    rows, cols = shape
-    by_row = basis(jnp.arange(float(rows)), chart.last[0]).reshape(rows // STRIP, STRIP, -1)
-    by_col = basis(jnp.arange(float(cols)), chart.last[1])
+    """A tile of `shape` cells filled by its chart, block by block, as the first of `side` x `side`: one program for
+    tiles of all shapes. The others are meaningless."""
+    by_row, by_col = (basis(jnp.arange(float(side)), last) for last in chart.last)
     sound = jnp.all(jnp.isfinite(chart.columns))
+    rows, cols = -(-shape[0] // STRIP), -(-shape[1] // ACROSS)
 
-    def strip(by_row: Array) -> Filled:
-        return _filled_cells(charted_cells(view, chart, by_row, by_col, sound), pixels, size, least_sine, how)
+    def block(row: Array, col: Array) -> Filled:
+        of_row = jax.lax.dynamic_slice_in_dim(by_row, row, STRIP)
+        of_col = jax.lax.dynamic_slice_in_dim(by_col, col, ACROSS)
+        return _filled_cells(charted_cells(view, chart, of_row, of_col, sound), pixels, size, least_sine, how)
 
-    values, known, status, doubtful = jax.lax.map(strip, by_row)
-    return Filled(
-        jnp.moveaxis(values, 1, 0).reshape(values.shape[1], rows, cols),
-        known.reshape(rows, cols),
-        status.reshape(rows, cols),
-        None if doubtful is None else doubtful.reshape(rows, cols),
-    )
+    def with_block(number: Array, whole: Filled) -> Filled:
+        row, col = STRIP * (number // cols), ACROSS * (number % cols)
+
+        def put(leaf: Array, part: Array) -> Array:
+            return jax.lax.dynamic_update_slice(leaf, part, (*[0] * (leaf.ndim - 2), row, col))
+
+        return jax.tree.map(put, whole, block(row, col))
+
+    kinds = jax.eval_shape(block, 0, 0)
+    blank = jax.tree.map(lambda leaf: jnp.zeros((*leaf.shape[:-2], side, side), leaf.dtype), kinds)
+    return jax.lax.fori_loop(0, rows * cols, with_block, blank)
 
 
 @eqx.filter_jit

@@ -431,3 +431,17 @@ def test_orthoimages_that_cannot_be() -> None:
         Orthoimage.of(np.full((3, 3), np.nan), grid)
     with pytest.raises(ValueError, match=r"known must have the shape \(3, 3\)"):
         Orthoimage.of(np.zeros((3, 3)), grid, np.ones((2, 3), bool))
+
+
+@pytest.mark.parametrize("mask_hidden", [False, True])
+def test_cells_beside_the_terrain_are_never_filled(mask_hidden: bool) -> None:
+    """Also where a whole block, as cells are filled together, has no ground."""
+    terrain, grid = ground(), cells_about(north=1050.0)
+    found = rectify(sensor_of(PLAIN), shot(), PICTURES, terrain, grid, CELLS, mask_hidden=mask_hidden)
+    status = np.asarray(_places(grid, terrain)[1]).reshape(CELLS)
+    beside = status == Status.leaves_terrain
+    assert beside[:32].all()
+    assert not beside[32:].all()
+    assert np.all(found.status[beside] == Status.leaves_terrain)
+    assert not found.orthoimage.known[beside].any()
+    assert np.any(found.status == Status.hit)
