@@ -101,7 +101,7 @@ def test_failed_parts_are_told_and_the_others_kept(tmp_path, flight: pathlib.Pat
         ),
         (["--cluster", "local:2", "-o", "fixes", "--format", "csv"], "--format does not go with --cluster"),
         (["--cluster", "local:2", "-o", "a.jpg"], "this is a file; name a folder"),
-        (["--resume"], "--resume needs --cluster"),
+        (["--resume"], "--resume completes a folder of parts"),
     ],
 )
 def test_options_that_contradict_each_other(tmp_path, flight: pathlib.Path, monkeypatch, more, words: str) -> None:

@@ -115,6 +115,8 @@ LONG_LINES = [
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
     "--interpolation cubic --cog --status --no-hidden-mask --vertical-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
+    f"accuracy-map {SCENE} --vertical-datum EPSG:5773 --crs EPSG:32616 --resolution 1000 --samples 0 --probability 0.95 "
+    "--json -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px "
     "--reference-sigma 5 --registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 "
     "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
@@ -125,9 +127,23 @@ READING = (
     "--allow-outside"
 )
 MANY = "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
+MANY_MORE = [
+    "rectify images --height-datum ellipsoid --dem dem.tif --cluster local:1 --resume -o orthos",
+    "rectify reconstruction.json --images images --height-datum ellipsoid --dem dem.tif -o orthos",
+    "rectify FILE --dem dem.tif --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
+    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
+    "report images --height-datum ellipsoid --ground 300 --cluster local:1 -o out.html",
+    "accuracy-map images --height-datum ellipsoid --dem dem.tif --cluster local:1 --resume --exposure a -o maps",
+    "accuracy-map FILE --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
+    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
+    f"accuracy-map {SCENE} {READING} -o out.tif",
+    f"accuracy-map {SCENE} --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
+    "--principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --bounds 1,2,3,4 --cog --debug -o out.tif",
+]
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
 PARSED = [  # whose files are not made here, or whose work is that of lines that are run
     MANY,
+    *MANY_MORE,
     f"locate {SCENE} {READING}",
     f"report {SCENE} {READING} -o out.html",
     f"footprint {SCENE} {READING}",
@@ -250,7 +266,7 @@ REFUSED = [
     (f"footprint {SCENE} --tolerance", r"--tolerance: its value is missing\. See .*--help\."),
     ("footprint --dem dem.tif", r"--scene is missing: Scene file \(TOML\).*\. See jaxgeo footprint --help\."),
     ("footprint --dem", r"--dem: its value is missing\. See .*--help\."),
-    ("rectify --scene scene.toml", r"IMAGE is missing: Image file.*\. See jaxgeo rectify --help\."),
+    ("rectify --scene scene.toml", r"IMAGE is missing: The image.*\. See jaxgeo rectify --help\."),
     (f"rectify {SMALL} --band x -o a.tif", r"--band.*: expected a whole number\. See jaxgeo rectify --help\."),
     (
         f"rectify {SMALL} --interpolation bilinar -o a.tif",

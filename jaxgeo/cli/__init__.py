@@ -1,6 +1,7 @@
 """The command line `jaxgeo`.
 
-`inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them;
+`inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them,
+`accuracy-map` maps the accuracy of all places on an image;
 `footprint`, `point`, `overlap` and `plan` are for coverage and mission planning; `rectify` orthorectifies images,
 `register` estimates their orientation from a map; `demo` is an example; `study` reproduces published results.
 
@@ -23,6 +24,7 @@ from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._options import expand_groups
 from jaxgeo.cli._results import version
+from jaxgeo.cli.accuracy_map import accuracy_map_command
 from jaxgeo.cli.demo import demo_command
 from jaxgeo.cli.footprint import footprint_command
 from jaxgeo.cli.inspect import inspect_command
@@ -81,6 +83,7 @@ def _add(name: str, command: Callable[..., None]) -> None:
 _add("inspect", inspect_command)
 _add("locate", locate_command)
 _add("report", report_command)
+_add("accuracy-map", accuracy_map_command)
 _add("footprint", footprint_command)
 _add("point", point_command)
 _add("overlap", overlap_command)

@@ -19,7 +19,7 @@ MOST_TOLD = 5  # failed parts that are printed
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ClusterOptions(OptionGroup):
-    """Where a long command runs, and whether it completes an earlier run."""
+    """Where a long command runs."""
 
     panel: ClassVar[str | None] = "Many machines"
 
@@ -28,40 +28,29 @@ class ClusterOptions(OptionGroup):
         typer.Option(
             "--cluster",
             metavar="WHERE",
-            help="Run on Dask: local, local:N (workers), tcp://HOST:PORT or a scheduler file; -o is then a folder.",
+            help="Run on Dask: local, local:N (workers), tcp://HOST:PORT or a scheduler file.",
         ),
     ] = None
-    resume: Annotated[
-        bool, typer.Option("--resume", help="With --cluster: compute only what is missing in the output folder.")
-    ] = False
 
-    def check(self, output: pathlib.Path | None, **others: bool) -> None:
-        """Raises `UserError` for an unknown kind of cluster, an unsuitable output, `others` (options given, by name)
-        that do not apply, and --resume alone."""
+    def check(self, **others: bool) -> None:
+        """Raises `UserError` for an unknown kind of cluster, and `others` (options given, by name) beside it."""
         from jaxgeo.cluster.client import check_name
 
         if self.cluster is None:
-            if self.resume:
-                raise UserError("--resume needs --cluster; other runs are short, or divided by --shard.")
             return
         for name in (name for name, is_given in others.items() if is_given):
             raise UserError(f"--{name.replace('_', '-')} does not go with --cluster; leave it out.")
         with _told(self.cluster):
             check_name(self.cluster)
-        if output is None:
-            raise UserError("--cluster needs --output FOLDER, for the parts of the result.")
-        check_writable(output)
-        if not self.resume and output.exists() and any(output.iterdir()):
-            raise UserError(
-                f"--output {output}: not empty; give --resume to complete an earlier run, or name another folder."
-            )
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[Any]:
-        """A client of Dask; the address of its dashboard is printed on stderr."""
+        """A client of Dask, the address of whose dashboard is printed on stderr; None without --cluster."""
+        if self.cluster is None:
+            yield None
+            return
         from jaxgeo.cluster import connect
 
-        assert self.cluster is not None
         with contextlib.ExitStack() as stack:
             with _told(self.cluster):
                 client = stack.enter_context(connect(self.cluster))
@@ -75,6 +64,32 @@ class ClusterOptions(OptionGroup):
         return stderr().is_terminal
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PartsOptions(ClusterOptions):
+    """Where a long command runs that writes a folder of parts, and whether it completes an earlier run."""
+
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Compute only what is missing in the output folder of an earlier run.")
+    ] = False
+
+    def check_parts(self, in_parts: bool, **others: bool) -> None:
+        """Raises `UserError` as `check`, and for --resume of a result that is not `in_parts`."""
+        if self.resume and not in_parts:
+            raise UserError("--resume completes a folder of parts, which --cluster writes; leave it out.")
+        self.check(**others)
+
+    def check_folder(self, output: pathlib.Path | None) -> pathlib.Path:
+        """The folder of the parts. Raises `UserError` without one, or if it is not empty and not to be resumed."""
+        if output is None:
+            raise UserError("--cluster needs --output FOLDER, for the parts of the result.")
+        check_writable(output)
+        if not self.resume and output.exists() and any(output.iterdir()):
+            raise UserError(
+                f"--output {output}: not empty; give --resume to complete an earlier run, or name another folder."
+            )
+        return output
+
+
 @contextlib.contextmanager
 def _told(cluster: str) -> Iterator[None]:
     """Raise what `connect` raises as `UserError`, in the words of the option."""
@@ -82,6 +97,12 @@ def _told(cluster: str) -> Iterator[None]:
         yield
     except (OSError, RuntimeError) as error:
         raise UserError(str(error).replace(f'cluster "{cluster}"', f"--cluster {cluster}")) from error
+
+
+def print_missing(run: Any) -> None:
+    """Print how many parts of a run were missing, if others were there."""
+    if run.computed < len(run.parts):
+        print_message(f"{run.computed} of {len(run.parts)} parts were missing; the others were there.")
 
 
 @contextlib.contextmanager

@@ -19,6 +19,10 @@ EXAMPLES = {
         "jaxgeo report DJI_0042.JPG --height-datum ellipsoid --dem dem.tif -o report.html",
         "jaxgeo report flight.klv --ground reported --details 1 -o report.html",
     ),
+    "accuracy-map": (
+        f"jaxgeo accuracy-map {SCENE} --resolution 200 -o accuracy.tif",
+        "jaxgeo accuracy-map DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --resolution 2 -o accuracy.tif",
+    ),
     "footprint": (
         f"jaxgeo footprint {SCENE}",
         f"jaxgeo footprint {SCENE} --shots shots.csv -o footprints.gpkg --crs EPSG:32616",
@@ -38,6 +42,7 @@ EXAMPLES = {
     "rectify": (
         f"jaxgeo rectify image.tif {SCENE} -o ortho.tif",
         f"jaxgeo rectify image.tif {SCENE} --crs EPSG:32616 --resolution 5 --cog -o ortho.tif",
+        "jaxgeo rectify DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --resolution 0.5 -o ortho.tif",
     ),
     "register": (
         f"jaxgeo register image.tif --reference ortho.tif {SCENE} --position-sigma 20 --attitude-sigma 0.3 "

@@ -49,7 +49,7 @@ def open_terrain(dem: list[str], options: DemOptions) -> DemFiles:
     from jaxgeo.io import open_dem
 
     if options.dem_bounds is not None:
-        raise UserError("--dem-bounds does not go with --cluster, which reads only the ground in sight; leave it out.")
+        raise UserError("--dem-bounds: of many images only the ground in sight is read; leave it out.")
     with translate_dem_errors():
         return open_dem(list(dem), **_reading_of(options))
 

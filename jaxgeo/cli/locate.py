@@ -16,7 +16,7 @@ import typer
 import jaxgeo
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._cluster import ClusterOptions, report_failed_parts
+from jaxgeo.cli._cluster import PartsOptions, print_missing, report_failed_parts
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
@@ -127,7 +127,7 @@ def locate_command(
     refraction: Refraction = False,
     reading: ReadingOptions,
     writing: OutputOptions,
-    many: ClusterOptions,
+    many: PartsOptions,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -140,10 +140,10 @@ def locate_command(
         if accuracy is False and sigmas.given:
             raise UserError("--no-accuracy contradicts standard deviations (--...-sigma); leave one out.")
         if many.cluster is not None:
-            many.check(writing.output, format=writing.format is not None)
+            many.check_parts(True, format=writing.format is not None)
             _locate_on_cluster(options, accuracy, probability, writing, many, as_json)
             return
-        many.check(writing.output)
+        many.check_parts(False)
         writing.check()
         if writing.is_file or as_json:
             _locate_all(options, accuracy, probability, writing, as_json)
@@ -184,19 +184,19 @@ def _locate_on_cluster(
     accuracy: bool | None,
     probability: float,
     writing: OutputOptions,
-    many: ClusterOptions,
+    many: PartsOptions,
     as_json: bool,
 ) -> None:
     """Locate on the workers of Dask, into a folder of GeoParquet files."""
     from jaxgeo.cluster import locate_frames, statuses_of
 
-    assert writing.output is not None
+    folder = many.check_folder(writing.output)
     _start(options)
     inputs = read_inputs(options, accuracy, None, on_disk=True)
     observed = dataclasses.replace(inputs.observed, columns=_typed(inputs.observed))
     with many.connected() as client, report_failed_parts():
         run = locate_frames(
-            writing.output,
+            folder,
             observed,
             inputs.grounds,
             client=client,
@@ -206,14 +206,13 @@ def _locate_on_cluster(
             **writing.drawn,
         )
     counts = statuses_of(run)
-    if run.computed < len(run.parts):
-        print_message(f"{run.computed} of {len(run.parts)} parts were missing; the others were there.")
+    print_missing(run)
     print_counts(counts, len(observed))
     if as_json:
         print_json(
             "locate",
             {
-                "inputs": options.inputs | {"cluster": many.cluster, "output": writing.output},
+                "inputs": options.inputs | {"cluster": many.cluster, "output": folder},
                 "assumed": inputs.assumed,
                 "parts": list(run.parts),
                 "computed": run.computed,

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pathlib
 import time
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import typer
 
+from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._cluster import PartsOptions
 from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of, terrain_files
+from jaxgeo.cli._inputs import numbers_in, read_terrain, terrain_files
 from jaxgeo.cli._option_names import translate_reach_errors
-from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand, SceneFile
+from jaxgeo.cli._options import WRITING, DemFiles, DemOptions, DemOptionsBesideBand, OptionGroup
+from jaxgeo.cli._oriented_images import OrientedImages
+from jaxgeo.cli._rectify_many import rectify_several
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
 
@@ -31,54 +36,132 @@ class Interpolation(StrEnum):
     cubic = "cubic"
 
 
-def rectify_command(
-    image: Annotated[
-        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, same size as the scene's camera.")
-    ],
-    scene: SceneFile,
-    dem: DemFiles,
-    output: Annotated[pathlib.Path, typer.Option("--output", "-o", metavar="FILE", help="GeoTIFF to write (.tif).")],
-    reading: DemOptionsBesideBand = DemOptionsBesideBand(),
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CellOptions(OptionGroup):
+    """The cells of an orthoimage, and how they are filled."""
+
+    panel: ClassVar[str | None] = WRITING
+
     crs: Annotated[
-        str | None, typer.Option(metavar="CRS", help='CRS of the file: "EPSG:32616", ... (default: UTM zone).')
-    ] = None,
+        str | None,
+        typer.Option("--crs", metavar="CRS", help='CRS of the file: "EPSG:32616", ... (default: UTM zone).'),
+    ] = None
     bounds: Annotated[
         str | None,
-        typer.Option(metavar="EDGES", help="WEST,SOUTH,EAST,NORTH in units of --crs (default: the whole footprint)."),
-    ] = None,
+        typer.Option(
+            "--bounds",
+            metavar="EDGES",
+            help="WEST,SOUTH,EAST,NORTH in units of --crs (default: the whole footprint).",
+        ),
+    ] = None
     resolution: Annotated[
         str | None,
-        typer.Option(metavar="SIZE", help="Cell size in units of --crs, or ACROSS,DOWN (default: the GSD)."),
-    ] = None,
+        typer.Option(
+            "--resolution", metavar="SIZE", help="Cell size in units of --crs, or ACROSS,DOWN (default: the GSD)."
+        ),
+    ] = None
     like: Annotated[
         pathlib.Path | None,
-        typer.Option(metavar="FILE", help="Orthoimage whose grid to use, instead of --crs, --bounds and --resolution."),
-    ] = None,
-    band: Annotated[list[int] | None, typer.Option(help="Image band, from 1 (repeatable).")] = None,
-    interpolation: Annotated[Interpolation, typer.Option(help="Resampling method.")] = (Interpolation.bilinear),
-    cog: Annotated[bool, typer.Option("--cog", help="Write a cloud-optimised GeoTIFF.")] = False,
-    status: Annotated[
-        bool, typer.Option("--status", help="Also write *_status.tif: status code of each cell.")
-    ] = False,
+        typer.Option(
+            "--like",
+            metavar="FILE",
+            help="Orthoimage whose grid to use, instead of --crs, --bounds and --resolution.",
+        ),
+    ] = None
+    band: Annotated[list[int] | None, typer.Option("--band", help="Image band, from 1 (repeatable).")] = None
+    interpolation: Annotated[Interpolation, typer.Option("--interpolation", help="Resampling method.")] = (
+        Interpolation.bilinear
+    )
+    cog: Annotated[
+        bool, typer.Option("--cog", help="Write a cloud-optimised GeoTIFF; those of several images always are.")
+    ] = False
+    status: Annotated[bool, typer.Option("--status", help="Also write *_status.tif: status code of each cell.")] = False
     no_hidden_mask: Annotated[
         bool, typer.Option("--no-hidden-mask", help="Do not mask cells hidden by terrain; faster.")
-    ] = False,
+    ] = False
+
+    @property
+    def wishes(self) -> dict[str, Any]:
+        """Arguments of `rectify_file`. Raises `UserError`."""
+        edges, cell = None, None
+        if self.bounds is not None:
+            edges = tuple(numbers_in("--bounds", self.bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
+        if self.resolution is not None:
+            sizes = tuple(numbers_in("--resolution", self.resolution, (1, 2), "one size, or ACROSS,DOWN"))
+            cell = sizes[0] if len(sizes) == 1 else sizes
+        if self.like is not None and any(one is not None for one in (self.crs, self.bounds, self.resolution)):
+            raise UserError("--like sets the grid: leave out --crs, --bounds and --resolution.")
+        if self.bounds is not None and self.crs is None:
+            raise UserError(f"--bounds {self.bounds}: give the CRS of the bounds with --crs.")
+        return {
+            "crs": self.crs,
+            "bounds": edges,
+            "resolution": cell,
+            "like": self.like,
+            "bands": self.band,
+            "interpolation": _interpolations()[self.interpolation],
+            "cog": self.cog,
+            "status": self.status,
+            "mask_hidden": not self.no_hidden_mask,
+        }
+
+
+def rectify_command(
+    image: Annotated[
+        list[pathlib.Path],
+        typer.Argument(
+            metavar="IMAGE",
+            help="The image of a --scene; or drone images, folders of them, or a file with the poses of --images.",
+        ),
+    ],
+    dem: DemFiles,
+    output: Annotated[
+        pathlib.Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="GeoTIFF to write (.tif); for several images a FOLDER.",
+            rich_help_panel=WRITING,
+        ),
+    ],
+    *,
+    scene: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--scene", metavar="FILE", help="Scene file (TOML): camera, gimbal, mount and pose of the only IMAGE."
+        ),
+    ] = None,
+    images: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--images",
+            metavar="FOLDER",
+            help="Images by name, if IMAGE is a file of poses (a reconstruction, a table).",
+        ),
+    ] = None,
+    reading_dem: DemOptionsBesideBand = DemOptionsBesideBand(),
+    cells: CellOptions = CellOptions(),
+    reading: ReadingOptions = ReadingOptions(),
+    many: PartsOptions = PartsOptions(),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Orthorectify an image: a GeoTIFF on a map grid, cells hidden by terrain masked."""
+    """Orthorectify images: GeoTIFFs on a map grid, cells hidden by terrain masked.
+
+    Of several images, or with --cluster, the result is a folder: a GeoTIFF for each, a mosaic and a STAC catalogue.
+    """
     inputs = given_options(locals())
     with report_errors(debug):
-        edges = None if bounds is None else tuple(numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
-        form = "one size, or ACROSS,DOWN"
-        cell = None if resolution is None else tuple(numbers_in("--resolution", resolution, (1, 2), form))
-        placed = {"crs": crs, "bounds": edges, "resolution": cell[0] if cell and len(cell) == 1 else cell, "like": like}
-        if like is not None and any(one is not None for one in (crs, bounds, resolution)):
-            raise UserError("--like sets the grid: leave out --crs, --bounds and --resolution.")
-        if bounds is not None and crs is None:
-            raise UserError(f"--bounds {bounds}: give the CRS of the bounds with --crs.")
-        wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
-        done, seconds = _rectify(image, scene, dem, reading, output, placed | wishes, interpolation)
+        wishes = cells.wishes
+        given = OrientedImages(image, scene, images, reading)
+        given.check()
+        in_parts = many.cluster is not None or given.are_several
+        many.check_parts(in_parts)
+        if in_parts:
+            rectify_several(given, dem, reading_dem, output, wishes, many, inputs if as_json else None)
+            return
+        done, seconds = _rectify(given, dem, reading_dem, output, wishes)
         if as_json:
             print_json("rectify", {"inputs": inputs, **_content(done, seconds)})
         else:
@@ -87,13 +170,7 @@ def rectify_command(
 
 
 def _rectify(
-    image: pathlib.Path,
-    scene_path: pathlib.Path,
-    dem: list[str],
-    reading: DemOptions,
-    output: pathlib.Path,
-    wishes: dict[str, Any],
-    interpolation: Interpolation,
+    given: OrientedImages, dem: list[str], reading: DemOptions, output: pathlib.Path, wishes: dict[str, Any]
 ) -> tuple[Any, float]:
     """(the result, seconds taken)."""
     from jaxgeo._checks import enable_x64
@@ -102,33 +179,37 @@ def _rectify(
     from jaxgeo.io.map_raster import checked_target
     from jaxgeo.io.paths import files_behind
     from jaxgeo.io.rectified import status_file
-    from jaxgeo.io.scene import read_scene
 
     checked_target(output, "an orthoimage")
     reach = reading.reach
     wishes |= {"allow_remote": reach.remote, "allow_outside": reach.outside}
-    rasters = [image] if wishes["like"] is None else [image, wishes["like"]]
-    read = [scene_path, *terrain_files(dem, reading), *(file for one in rasters for file in files_behind(one, reach))]
+    rasters = [*given.files, *([] if wishes["like"] is None else [wishes["like"]])]
+    read = [
+        *given.inputs,
+        *terrain_files(dem, reading),
+        *(file for one in rasters for file in files_behind(one, reach)),
+    ]
     check_no_input("--output", [output, status_file(output)] if wishes["status"] else [output], read)
-    with translate_reach_errors():
-        pixels = pixels_of(image, reach)
-    if pixels < QUICK_PIXELS:
+    if given.scene is not None:
+        with translate_reach_errors():
+            pixels = pixels_of(given.files[0], reach)
+        if pixels < QUICK_PIXELS:
+            compile_quickly()
+    else:
         compile_quickly()
     enable_x64()
-    scene = read_scene(scene_path)
-    shot = shot_of(scene, scene_path, "rectifying")
+    file, exposure = given.one()
     terrain = read_terrain(dem, reading)
     began = time.perf_counter()
     with bars_on_stderr() as is_shown, translate_reach_errors():
         done = rectify_file(
             output,
-            image,
-            scene.sensor,
-            shot,
+            file,
+            exposure.sensor,
+            exposure.motion,
             terrain,
-            interpolation=_interpolations()[interpolation],
             progress=is_shown,
-            atmosphere=scene.atmosphere,
+            atmosphere=exposure.atmosphere,
             **wishes,
         )
     return done, time.perf_counter() - began

@@ -11,6 +11,7 @@ import typer
 
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import Sigmas
@@ -58,16 +59,18 @@ def report_command(
     refraction: Refraction = False,
     reading: ReadingOptions,
     page: PageOptions,
+    many: ClusterOptions,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Write a self-contained HTML page: map, fixes and their accuracy, error budgets, and assumptions."""
     with report_errors(debug):
         _check_report(output, probability, page.details)
+        many.check()
         options = LocateOptions(of_images, ground, reading, sigmas, refraction)
         _ = reading.arguments  # raises for wrong values
         with destination("--output", output) as stream:
-            inputs, fixes = _report(options, probability, output, stream, page, as_json)
+            inputs, fixes = _report(options, probability, output, stream, page, many, as_json)
         exit_without_fix(inputs, fixes)
 
 
@@ -83,7 +86,13 @@ def _check_report(output: pathlib.Path, probability: float, details: int) -> Non
 
 
 def _report(
-    options: LocateOptions, probability: float, output: pathlib.Path, stream: TextIO, page: PageOptions, as_json: bool
+    options: LocateOptions,
+    probability: float,
+    output: pathlib.Path,
+    stream: TextIO,
+    page: PageOptions,
+    many: ClusterOptions,
+    as_json: bool,
 ) -> tuple[LocateInputs, Fix]:
     from jaxgeo._checks import enable_x64
 
@@ -93,7 +102,14 @@ def _report(
     enable_x64()
     inputs = read_inputs(options, _has_errors(options), output)
     observed, reasons = inputs.observed, inputs.reasons
-    fixes, accuracy = locate_inputs(inputs, probability)
+    if many.cluster is None:
+        fixes, accuracy = locate_inputs(inputs, probability)
+    else:
+        from jaxgeo.cluster import fixes_of_frames
+
+        with many.connected() as client:
+            how = {"accuracy": inputs.has_errors, "probability": probability, "progress": many.shows_progress}
+            fixes, accuracy = fixes_of_frames(observed, inputs.grounds, client=client, **how)
     if not inputs.has_errors:
         observed = observed.with_sources([()] * len(observed.batches))
     subject = ReportData.of_observations(observed, inputs.grounds, fixes, accuracy, probability)

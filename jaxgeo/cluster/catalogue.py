@@ -6,6 +6,7 @@ import json
 import math
 import os
 import pathlib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
@@ -19,6 +20,7 @@ from jaxgeo.io.map_raster import MapRaster, outline_of, raster_with
 from jaxgeo.io.vrt_writer import Bands, MosaicFile, write_vrt
 
 COLLECTION, ITEMS, MOSAIC = "collection.json", "items.json", "mosaic"
+STATUS, CELLS = "jaxgeo:status", "jaxgeo:cells_by_status"  # properties of items
 # A time that is not known lies between these; STAC has no word for it, and some readers no earlier time.
 EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC) for year in (1900, 2100))
 EXTENSIONS = (
@@ -128,6 +130,20 @@ def write_catalogue(folder: pathlib.Path, items: Sequence[str], description: str
     write_json(folder / ITEMS, {"type": "FeatureCollection", "features": each})
     write_json(folder / COLLECTION, collection.to_dict(include_self_link=False, transform_hrefs=False))
     return each
+
+
+def statuses_of(run: Run) -> dict[str, int]:
+    """Count of each status by name of all frames of a run, or of all cells of an accuracy map, earlier ones too."""
+    counts: Counter[str] = Counter()
+    for path in (run.folder / name for name in run.parts):
+        if path.suffix == ".parquet":
+            from pyarrow import parquet
+
+            counts.update(parquet.read_table(path, columns=["status"])["status"].to_pylist())
+        else:
+            told = read_json(path.with_suffix(".json"))["properties"]
+            counts.update({told[STATUS]: 1} if STATUS in told else told[CELLS])
+    return dict(counts)
 
 
 def _times(items: Sequence[Any]) -> list[datetime]:

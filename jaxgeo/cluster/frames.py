@@ -10,6 +10,7 @@ import pathlib
 import socket
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,7 +20,7 @@ import numpy as np
 from jaxgeo._checks import require_x64
 from jaxgeo._digest import digest_of
 from jaxgeo._parallel import Work
-from jaxgeo.cluster.parts import MANIFEST, Parts, Run, named
+from jaxgeo.cluster.parts import MANIFEST, Parts, Run, named, progress_bar, reason_of
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io.errors import DemError
@@ -38,6 +39,7 @@ from jaxgeo.io.located_over_files import AccuracyOptions, Located, check_straigh
 from jaxgeo.io.observations import ObservationBatch, Observations
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+from jaxgeo.uncertainty import Accuracy
 from jaxgeo.uncertainty._accuracy import SAMPLES
 from jaxgeo.uncertainty.map_cells import check_level
 
@@ -61,13 +63,19 @@ class Part(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What all parts have in common."""
+    """What the computation of all parts has in common."""
 
-    folder: pathlib.Path
-    files: FixParts
     ground: Ground | None
     accuracy: AccuracyOptions | None
     margin: float
+
+
+class Files(NamedTuple):
+    """Where parts are written, and how; what their computation has in common."""
+
+    folder: pathlib.Path
+    files: FixParts
+    setting: Setting
 
 
 def locate_frames(
@@ -105,6 +113,75 @@ def locate_frames(
     Raises `PartsFailed` if parts could not be computed, after the others are; `ValueError` for arguments that
     contradict each other, and a folder that holds something else; otherwise as `write_fixes`.
     """
+    observed, setting = _checked(observed, terrain, accuracy, probability, count, rows, margin)
+    files = FixParts.of(
+        observed.position,
+        observed.columns,
+        crs=crs,
+        heights=heights,
+        mgrs=mgrs,
+        ellipses=ellipses,
+        probability=probability if accuracy else None,
+    )
+    each = parts_of(observed, terrain, int(rows))
+    written = Files(pathlib.Path(folder).absolute(), files, setting)
+    names = named("part-", len(each), ".parquet")
+    parts = Parts(written.folder, KIND, identity(observed, terrain, written, int(rows)), names)
+    missing = set(parts.open(_is_whole))
+    given = {name: part for name, part in zip(names, each, strict=True) if name in missing}
+    finish = functools.partial(write_summary, written.folder)
+    return parts.compute(given, Work(_written_parts, written), client, progress, finish, lambda part: len(part.rows))
+
+
+def fixes_of_frames(
+    observed: Observations,
+    terrain: Ground | Sequence[AbstractTerrain],
+    *,
+    client: Any = None,
+    accuracy: bool = False,
+    probability: float = 0.9,
+    count: int | None = None,
+    rows: int = ROWS,
+    margin: float = MARGIN,
+    progress: bool = False,
+) -> tuple[Fix, Accuracy | None]:
+    """The fixes of `locate_frames` and their accuracy in memory, without files; None for the accuracy of no fix.
+
+    Arguments as for `locate_frames`. Rows are those of `observed`; a frame that is refused has the status
+    `invalid_input`. Raises `RuntimeError` if parts could not be computed, after the others are; `ConnectionError` if
+    the cluster ends; otherwise as `locate_frames`.
+    """
+    observed, setting = _checked(observed, terrain, accuracy, probability, count, rows, margin)
+    each = parts_of(observed, terrain, int(rows))
+    found: list[tuple[Part, Located]] = []
+    failed: list[str] = []
+    with progress_bar(progress, len(observed)) as advance:
+        for part, future in Work(_located_parts, setting).results(each, client):
+            try:
+                found.append((part, future.result()))
+            except CancelledError:
+                raise ConnectionError("the cluster has ended before all frames were located; call again.") from None
+            except Exception as error:
+                failed.append(reason_of(error))
+            advance(len(part.rows), len(failed))
+    if failed:
+        raise RuntimeError(f"{len(failed)} of {len(each)} parts failed; the first: {failed[0]}")
+    place = np.argsort(np.concatenate([part.rows for part, _ in found]))
+    fixes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[place], *(one.fixes for _, one in found))
+    own = [(part.rows, one.accuracy) for part, one in found if one.accuracy is not None]
+    return fixes, spread([one for _, one in own], [rows for rows, _ in own], fixes) if own else None
+
+
+def _checked(
+    observed: Observations,
+    terrain: Any,
+    accuracy: bool,
+    probability: float,
+    count: int | None,
+    rows: int,
+    margin: float,
+) -> tuple[Observations, Setting]:
+    """(observations with latitudes up to the poles, what all parts have in common). Raises `ValueError`."""
     require_x64()
     if isinstance(rows, bool) or not isinstance(rows, int | np.integer) or rows < 1:
         raise ValueError(
@@ -119,30 +196,12 @@ def locate_frames(
         check_level(probability)
     if count is not None and (isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1):
         raise ValueError(f"count must be an integer of at least 1, samples of a fix; got {count!r}.")
-    observed = _with_latitudes(observed)
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
-    files = FixParts.of(
-        observed.position,
-        observed.columns,
-        crs=crs,
-        heights=heights,
-        mgrs=mgrs,
-        ellipses=ellipses,
-        probability=probability if accuracy else None,
-    )
     options = AccuracyOptions(float(probability), int(count)) if accuracy else None
-    each = parts_of(observed, terrain, int(rows))
     shared = terrain if isinstance(terrain, AbstractTerrain | DemFiles) else None
     if isinstance(shared, AbstractTerrain) and axis_of(shared) == 0:
         shared = None
-    setting = Setting(pathlib.Path(folder).absolute(), files, shared, options, float(margin))
-    names = named("part-", len(each), ".parquet")
-    parts = Parts(setting.folder, KIND, identity(observed, terrain, setting, int(rows)), names)
-    missing = set(parts.open(_is_whole))
-    given = {name: part for name, part in zip(names, each, strict=True) if name in missing}
-    work = Work(_located_parts, setting)
-    finish = functools.partial(write_summary, setting.folder)
-    return parts.compute(given, work, client, progress, finish, lambda part: len(part.rows))
+    return _with_latitudes(observed), Setting(shared, options, float(margin))
 
 
 def parts_of(observed: Observations, terrain: Ground | Sequence[AbstractTerrain], rows: int) -> list[Part]:
@@ -217,13 +276,14 @@ def _spread_bits(numbers: np.ndarray) -> np.ndarray:
     return found
 
 
-def identity(observed: Observations, terrain: Any, setting: Setting, rows: int) -> dict[str, str]:
+def identity(observed: Observations, terrain: Any, written: Files, rows: int) -> dict[str, str]:
     """What results depend on, by name."""
+    setting = written.setting
     has_errors = setting.accuracy is not None
     batches = [
         (one.observation, one.sources if has_errors else None, one.rows, one.is_one_camera) for one in observed.batches
     ]
-    ground, out = terrain.identity if isinstance(terrain, DemFiles) else terrain, setting.files
+    ground, out = terrain.identity if isinstance(terrain, DemFiles) else terrain, written.files
     return {
         "frames": digest_of((batches, repr(observed.columns), observed.reasons)),
         "terrain": digest_of(ground),
@@ -234,16 +294,20 @@ def identity(observed: Observations, terrain: Any, setting: Setting, rows: int) 
     }
 
 
-def _located_parts(setting: Setting) -> Callable[[tuple[str, Part]], dict[str, int]]:
-    return functools.partial(_locate_part, setting)
+def _located_parts(setting: Setting) -> Callable[[Part], Located]:
+    return functools.partial(_found_of_all, setting)
 
 
-def _locate_part(setting: Setting, item: tuple[str, Part]) -> dict[str, int]:
+def _written_parts(written: Files) -> Callable[[tuple[str, Part]], dict[str, int]]:
+    return functools.partial(_write_part, written)
+
+
+def _write_part(written: Files, item: tuple[str, Part]) -> dict[str, int]:
     """Compute and write a part; returns the count of each status by name."""
     name, part = item
-    check_seen(setting.folder)
-    found = _found_of_all(setting, part)
-    setting.files.write(setting.folder / name, found.fixes, found.accuracy, part.rows, part.columns, found.reasons)
+    check_seen(written.folder)
+    found = _found_of_all(written.setting, part)
+    written.files.write(written.folder / name, found.fixes, found.accuracy, part.rows, part.columns, found.reasons)
     return dict(Counter(Status(int(code)).name for code in np.asarray(found.fixes.status)))
 
 
@@ -285,14 +349,6 @@ def _found(setting: Setting, part: Part) -> Located:
     probability, count = setting.accuracy
     own = accuracy_of_observations(part.observed, grounds, fixes, probability=probability, count=count)
     return Located(fixes, own, part.reasons)
-
-
-def statuses_of(run: Run) -> dict[str, int]:
-    """Count of each status by name of all rows of a run, those computed earlier too."""
-    from pyarrow import parquet
-
-    columns = (parquet.read_table(run.folder / name, columns=["status"]) for name in run.parts)
-    return dict(Counter(name for column in columns for name in column["status"].to_pylist()))
 
 
 def check_seen(folder: pathlib.Path) -> None:

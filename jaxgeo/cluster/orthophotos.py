@@ -15,6 +15,8 @@ from jaxgeo._checks import check_is, require_x64
 from jaxgeo._digest import digest_of
 from jaxgeo._parallel import Work
 from jaxgeo.cluster.catalogue import (
+    CELLS,
+    STATUS,
     check_catalogue,
     compute_and_list,
     mosaic_file,
@@ -265,8 +267,8 @@ def _rectify_frame(setting: Setting, item: tuple[str, int]) -> dict[str, int]:
         raster, files = done.raster, {"orthophoto": pathlib.Path(done.path)}
         files |= {"status": status_file(files["orthophoto"])} if setting.options["status"] else {}
         assets = {key: (file.name, _bands_of(file)) for key, file in files.items()}
-        told["jaxgeo:cells_by_status"] = {one.name: count for one, count in done.counts.items()}
-    write_item(path, assets, raster, told | {"jaxgeo:status": status.name}, setting.times[row], cog=cog)
+        told[CELLS] = {one.name: count for one, count in done.counts.items()}
+    write_item(path, assets, raster, told | {STATUS: status.name}, setting.times[row], cog=cog)
     return {status.name: 1}
 
 

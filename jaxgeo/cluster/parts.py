@@ -141,14 +141,14 @@ class Parts(NamedTuple):
         counts: Counter[str] = Counter()
         failed: dict[str, str] = {}
         total = sum(map(count_of, missing.values()))
-        with _bar(progress, total) as advance:
+        with progress_bar(progress, total) as advance:
             try:
                 for (name, given), future in work.results(missing.items(), executor):
                     error = self._error_of(future)
                     if error is None:
                         counts.update(future.result())
                     else:
-                        failed[name] = _reason(error)
+                        failed[name] = reason_of(error)
                     advance(count_of(given), len(failed))
             finally:
                 with contextlib.suppress(OSError):  # a full disk; a part is whole if its file is there
@@ -164,11 +164,12 @@ def _is_foreign(path: pathlib.Path) -> bool:
     return not path.name.startswith(".jaxgeo-")
 
 
-def _reason(error: BaseException) -> str:
+def reason_of(error: BaseException) -> str:
+    """Kind and message of an exception, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".") + "."
 
 
-class _bar:
+class progress_bar:
     """A progress bar with rate, failures and the time left, if asked for; `advance(count, failed)`."""
 
     def __init__(self, is_shown: bool, total: int) -> None:

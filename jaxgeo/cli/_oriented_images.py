@@ -1,0 +1,105 @@
+"""Images with their poses: of a scene, of their own tags, or of a file beside them."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+from typing import TYPE_CHECKING
+
+import jaxgeo
+from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._inputs import shot_of
+from jaxgeo.cli._locate_inputs import REPLACED
+from jaxgeo.cli._option_names import as_typed
+from jaxgeo.cli._screen import print_message
+from jaxgeo.observation import Exposure
+
+if TYPE_CHECKING:
+    from jaxgeo.io import Observations
+
+
+@dataclasses.dataclass(frozen=True)
+class OrientedImages:
+    """The IMAGEs of a command, its --scene, --images and reading options."""
+
+    files: list[pathlib.Path]
+    scene: pathlib.Path | None
+    folder: pathlib.Path | None
+    reading: ReadingOptions
+
+    @property
+    def are_several(self) -> bool:
+        """Whether the result is a folder: for more than one image, or files that may hold more."""
+        return self.scene is None and (len(self.files) > 1 or self.files[0].is_dir() or self.folder is not None)
+
+    @property
+    def inputs(self) -> list[pathlib.Path]:
+        """All files named by the options."""
+        named = [*self.files, self.scene, self.reading.positions, self.reading.errors, self.reading.interior]
+        return [one for one in named if one is not None]
+
+    def check(self) -> None:
+        """Raises `UserError` for options that contradict each other, and for wrong values."""
+        given = self.reading.arguments
+        if self.scene is None:
+            if self.folder is not None and not self.folder.is_dir():
+                raise UserError(f"--images {self.folder}: there is no such folder.")
+            return
+        if len(self.files) > 1 or self.files[0].is_dir():
+            shown = self.files[0] if len(self.files) == 1 else f"{self.files[0]} and {len(self.files) - 1} more"
+            raise UserError(
+                f"--scene {self.scene} has the pose of one image; got {shown}. Leave --scene out for images that "
+                f"state their own poses."
+            )
+        if self.folder is not None:
+            raise UserError(f"--images {self.folder} is for a file with the poses of many; leave out --scene.")
+        for name in given:
+            option = "source-crs" if name == "crs" else name.replace("_", "-")
+            raise UserError(f"--{option} is for images that state their own poses; leave it out with --scene.")
+
+    def one(self) -> tuple[pathlib.Path, Exposure]:
+        """(file, exposure) of the only image. Raises `UserError`, and as the readers."""
+        from jaxgeo.io.scene import read_scene
+
+        if self.scene is not None:
+            found = read_scene(self.scene)
+            return self.files[0], Exposure(
+                found.sensor, shot_of(found, self.scene, "rectifying"), None, found.atmosphere
+            )
+        observed, (file,) = self.read()
+        return pathlib.Path(f"{file}"), observed.at(0)[0].exposure
+
+    def read(self) -> tuple[Observations, list[pathlib.Path]]:
+        """(their observations, of the image centres; the file of each).
+
+        Assumptions and unread files are printed on stderr. Raises `UserError`, and as the readers.
+        """
+        from jaxgeo.io import read_observations
+
+        with reading_files(self.files) as progress:
+            observed = read_observations(self.files, progress=progress, **self.reading.arguments)
+        for one in map(as_typed, observed.assumed):
+            if not any(words in one for words in REPLACED):  # on errors, which orthoimages do not have
+                print_message(f"assumed: {one}")
+        print_unread(observed.unread.values())
+        return observed, self._files_of(observed)
+
+    def _files_of(self, observed: jaxgeo.io.Observations) -> list[pathlib.Path]:
+        """The image of each row. Raises `UserError` for exposures that are no images."""
+        from jaxgeo.io.acquisitions.several import files_of
+
+        names = [str(row.get("name")) for row in observed.columns]
+        if self.folder is not None:
+            by_stem = {one.stem: one for one in sorted(self.folder.iterdir(), reverse=True)}
+            known = [self.folder / name for name in names]
+            return [one if one.exists() else by_stem.get(one.name, one) for one in known]
+        each = [pathlib.Path(one) for one in files_of(self.files)[0]]
+        by_name = {one.name: one for one in each} | {f"{one}": one for one in each}
+        unknown = next((name for name in names if name not in by_name), None)
+        if unknown is not None:
+            raise UserError(
+                f"{observed.source}: exposure {unknown} is no image among the given files; name the folder of the "
+                f"images with --images FOLDER."
+            )
+        return [by_name[name] for name in names]
