@@ -9,13 +9,17 @@ import pathlib
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import pytest
+import rasterio
 from support.drone_image_files import packet, write_image
-from test_cli_folders import DJI, GROUND, cut, image, run
+from test_cli_folders import DJI, GROUND, READ, cut, image, run
 
 import jaxgeo.cluster.frames
 from jaxgeo.cli._cluster import ClusterOptions
+from jaxgeo.cluster import Run
 
+pytest.importorskip("pystac")
 parquet: Any = pytest.importorskip("pyarrow.parquet")
 
 
@@ -110,6 +114,149 @@ def test_options_that_contradict_each_other(tmp_path, flight: pathlib.Path, monk
     done = run("locate", flight, *GROUND, *more)
     assert done.exit_code == 2
     assert words in " ".join(done.stderr.split())
+
+
+ORTHOS = (*READ, "--dem", "dem.tif", "--vertical-datum", "ellipsoid", "--resolution", "2", "--no-hidden-mask")
+
+
+@pytest.fixture
+def survey(tmp_path: pathlib.Path, flight: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> pathlib.Path:
+    """The flight over a small level elevation model, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": "EPSG:4326", "width": 40, "height": 40}
+    transform = rasterio.transform.from_bounds(-84.13, 36.29, -84.08, 36.34, 40, 40)
+    with rasterio.open("dem.tif", "w", transform=transform, **profile) as file:
+        file.write(np.full((1, 40, 40), 300.0, np.float32))
+    return flight
+
+
+@pytest.mark.slow
+def test_orthophotos_of_a_folder(survey: pathlib.Path, by_threads) -> None:
+    """A GeoTIFF for each image, the same on a cluster; a damaged one stops no other; --resume adds what is gone."""
+    many = run("rectify", survey, *ORTHOS, "--cluster", "local:2", "-o", "many", "--json")
+    assert many.exit_code == 0, many.output
+    told = json.loads(many.stdout)
+    assert (told["computed"], told["images_by_status"]) == (4, {"hit": 3, "file_not_read": 1})
+    alone = run("rectify", survey, *ORTHOS, "-o", "alone")
+    assert alone.exit_code == 0, alone.output
+    assert "alone: 3 orthophotos of 4 images" in alone.stdout
+    assert "not read: " in alone.stderr
+    files = sorted(path.name for path in pathlib.Path("alone").glob("frame-*.tif"))
+    assert files == ["frame-00000.tif", "frame-00001.tif", "frame-00003.tif"]
+    for name in files:
+        assert pathlib.Path("many", name).read_bytes() == pathlib.Path("alone", name).read_bytes()
+    pathlib.Path("many", files[1]).unlink()
+    resumed = run("rectify", survey, *ORTHOS, "--cluster", "local:2", "-o", "many", "--resume", "--json")
+    assert (json.loads(resumed.stdout)["computed"], resumed.exit_code) == (1, 0)
+    one = run("rectify", survey / "b.jpg", *ORTHOS, "-o", "one.tif", "--crs", "EPSG:32616", "--cog")
+    assert one.exit_code == 0, one.output
+    with rasterio.open("one.tif") as single, rasterio.open(f"many/{files[1]}") as part:
+        assert single.transform == part.transform
+        assert np.array_equal(single.read(), part.read())
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Arguments of `rectify_frames`, which makes no orthophoto here."""
+    each: list[Any] = []
+
+    def made(folder: pathlib.Path, files: Any, observed: Any, terrain: Any, **how: Any) -> Run:
+        each.append((files, observed, how))
+        return Run(folder, (), 0, {})
+
+    monkeypatch.setattr(jaxgeo.cluster, "rectify_frames", made)
+    return each
+
+
+def test_images_of_a_folder_and_how_they_are_rectified(survey: pathlib.Path, asked: list[Any], by_threads) -> None:
+    more = ("--crs", "EPSG:32616", "--band", "2", "--status", "--interpolation", "nearest", "--cluster", "local:2")
+    done = run("rectify", survey, *ORTHOS, *more, "-o", "many")
+    assert done.exit_code == 1  # no orthophoto
+    ((files, observed, how),) = asked
+    assert files == [survey / name for name in ("a.jpg", "b.jpg", "c.jpg", "d.jpg")]
+    assert [row["name"] for row in observed.columns] == [path.name for path in files]
+    assert isinstance(how.pop("client"), ThreadPoolExecutor)
+    kind = type(how.pop("interpolation")).__name__
+    assert kind == "Nearest"
+    expected = {"crs": "EPSG:32616", "resolution": 2.0, "bands": [2], "status": True, "mask_hidden": False}
+    assert how == expected | {"progress": False}
+
+
+def test_images_of_a_file_of_poses(survey: pathlib.Path, asked: list[Any]) -> None:
+    """They are found by the names in the file, with or without their ending."""
+    poses = {name: {"rotation": [3.1, 0.0, 0.0], "translation": [0.0, 0.0, 400.0], "camera": "one"} for name in "ab"}
+    camera = {"one": {"projection_type": "perspective", "width": 40, "height": 30, "focal": 0.9}}
+    reference = {"latitude": 36.318, "longitude": -84.105, "altitude": 300.0}
+    content = [{"cameras": camera, "shots": poses | {"c.jpg": poses["a"]}, "points": {}, "reference_lla": reference}]
+    pathlib.Path("reconstruction.json").write_text(json.dumps(content))
+    run("rectify", "reconstruction.json", "--images", survey, *ORTHOS, "-o", "orthos")
+    ((files, _, how),) = asked
+    assert files == [survey / name for name in ("a.jpg", "b.jpg", "c.jpg")]
+    assert how["client"] is None
+    without = run("rectify", "reconstruction.json", *ORTHOS, "-o", "other.tif")
+    assert without.exit_code == 2
+    assert "exposure a is no image among the given files; name the folder of the images with --images FOLDER." in (
+        " ".join(without.stderr.split())
+    )
+
+
+@pytest.mark.parametrize(
+    "more, words",
+    [
+        (["a.jpg", "b.jpg", "--scene", "scene.toml"], "--scene scene.toml has the pose of one image; got a.jpg and 1"),
+        (["a.jpg", "--scene", "scene.toml", "--height-datum", "ellipsoid"], "--height-datum is for images that state"),
+        (["a.jpg", "--scene", "scene.toml", "--images", "."], "--images . is for a file with the poses of many"),
+        (["a.jpg", "--scene", "scene.toml", "--cluster", "local:2"], "--cluster is for several images; --scene scene"),
+        (["a.jpg", "--images", "nowhere"], "--images nowhere: there is no such folder."),
+        (["a.jpg", "b.jpg", "--like", "a.tif"], "--like is for one image; of several, each has its own."),
+        (["a.jpg", "b.jpg", "--crs", "EPSG:32616", "--bounds", "1,2,3,4"], "--bounds is for one image"),
+        (["a.jpg", "--resume"], "--resume completes a folder of parts"),
+        (["a.jpg", "b.jpg", "--dem-bounds", "1,2,3,4", *READ], "--dem-bounds: of many images only the ground in sight"),
+    ],
+)
+def test_options_of_orthophotos_that_contradict_each_other(survey: pathlib.Path, monkeypatch, more, words: str) -> None:
+    monkeypatch.chdir(survey)
+    done = run("rectify", *more, "--dem", "dem.tif", "-o", "orthos")
+    assert done.exit_code == 2
+    assert words in " ".join(done.stderr.split())
+    assert not pathlib.Path("orthos").exists()
+
+
+@pytest.mark.slow
+def test_a_map_in_tiles_is_that_of_one_file(survey: pathlib.Path, by_threads, monkeypatch) -> None:
+    line = ("accuracy-map", survey / "a.jpg", *READ, "--dem", "dem.tif", "--vertical-datum", "ellipsoid")
+    line = (*line, "--resolution", "25", "--samples", "0", "--crs", "EPSG:32616")
+    one = run(*line, "-o", "one.tif", "--json")
+    assert one.exit_code == 0, one.output
+    many = run(*line, "--cluster", "local:2", "-o", "many", "--json")
+    assert many.exit_code == 0, many.output
+    told = json.loads(many.stdout)
+    assert told["cells_by_status"] == json.loads(one.stdout)["cells_by_status"]
+    assert told["cells_by_status"]["hit"] > 20
+    with rasterio.open("one.tif") as single, rasterio.open("many/mosaic.vrt") as mosaic:
+        np.testing.assert_allclose(mosaic.read(1), single.read(1), rtol=1e-5)
+
+
+def test_a_map_is_of_one_exposure(survey: pathlib.Path) -> None:
+    several = run("accuracy-map", survey, *GROUND, "-o", "all.tif")
+    assert several.exit_code == 2
+    assert "a map is of one exposure; got 4 (a.jpg, b.jpg, c.jpg, d.jpg). Choose one with --exposure NAME." in (
+        " ".join(several.stderr.split())
+    )
+
+
+@pytest.mark.slow
+def test_a_report_from_a_cluster_has_the_fixes_of_one_process(survey: pathlib.Path, by_threads) -> None:
+    line = ("report", survey, *GROUND, "--details", "0", "--json")
+    many = run(*line, "--cluster", "local:2", "-o", "many.html")
+    assert many.exit_code == 0, many.output
+    alone = run(*line, "-o", "alone.html")
+    found, expected = (json.loads(done.stdout)["fixes"] for done in (many, alone))
+    assert [row["status"] for row in found] == [row["status"] for row in expected]
+    for one, other in zip(found, expected, strict=True):
+        for name in ("fix_lat_deg", "fix_height_m", "ce90_m"):
+            assert one[name] == (other[name] if other[name] is None else pytest.approx(other[name], abs=1e-9))
+    assert "many.html" in {path.name for path in pathlib.Path().iterdir()}
 
 
 @pytest.mark.slow

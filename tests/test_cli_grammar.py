@@ -115,8 +115,8 @@ LONG_LINES = [
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
     "--interpolation cubic --cog --status --no-hidden-mask --vertical-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
-    f"accuracy-map {SCENE} --vertical-datum EPSG:5773 --crs EPSG:32616 --resolution 1000 --samples 0 --probability 0.95 "
-    "--json -o out.tif",
+    f"accuracy-map {SCENE} --vertical-datum EPSG:5773 --crs EPSG:32616 --resolution 1000 --samples 0 "
+    "--probability 0.95 --json -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px "
     "--reference-sigma 5 --registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 "
     "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
