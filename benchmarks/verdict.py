@@ -4,13 +4,15 @@ Observations are drawn over synthetic and real terrain: every azimuth, 8 to 60 d
 0.15 to 3 times those of a good sensor. Each is predicted without samples, then sampled. `--coverage` measures instead
 how often the truth lies within the stated CE90 about the erroneous fix, in simulated measurements.
 
-Run: python benchmarks/verdict.py [--targets 60] [--fresh 0] [--output roc.png]
+Run: python benchmarks/verdict.py [--targets 60] [--fresh 0] [--output roc.png] [--cluster local:2] [--folder F]
      python benchmarks/verdict.py --coverage [--targets 1000] [--fresh 0]
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import functools
 import pathlib
 import sys
 from typing import Any, NamedTuple
@@ -22,10 +24,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
+import xarray
 from looks import FIRST_HIT, PIXEL, cases, errors, item, look_from, made_up_of, sampled, terrains
 from measuring import Column, Table
 
 import jaxgeo
+from jaxgeo.cluster import connect
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.uncertainty import Level, Method, method_selection
@@ -56,15 +60,38 @@ def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selec
     return method_selection.diagnose(look, aim, model).diagnostics, level, counts_as_fix(aim.fix.status)
 
 
-def judged(dem: Dem, count: int, samples: int, seed: int) -> Judged:
-    """Observations of a terrain, predicted and sampled."""
+def judged(terrain: str, *, count: int, samples: int, fresh: int) -> dict[str, np.ndarray]:
+    """`count` observations of a terrain, predicted and sampled; whether each has a fix, NaN without."""
+    dem, seed = places(fresh)[terrain]
     drawn = cases(dem, count, seed)
     diagnostics, level, found = jax.tree.map(np.asarray, predicted(drawn.pose, jnp.asarray(drawn.scale), dem))
-    truth = [
-        sampled(item(drawn.pose, i), drawn.scale[i], dem, i, samples).circular_error(0.9).value
-        for i in np.flatnonzero(found)
-    ]
-    return Judged(item(diagnostics, found), level[found], np.array(truth))
+    truth = np.full(count, np.nan)
+    for i in np.flatnonzero(found):
+        truth[i] = sampled(item(drawn.pose, i), drawn.scale[i], dem, i, samples).circular_error(0.9).value
+    return diagnostics._asdict() | {"level": level, "found": found, "truth": truth}
+
+
+@functools.lru_cache(maxsize=1)
+def places(fresh: int) -> dict[str, tuple[Dem, int]]:
+    """Every terrain with the seed of its observations."""
+    each = enumerate(terrains(fresh).items())
+    return {
+        f"{name}, {k + 1}": (dem, fresh + 100 * number + k)
+        for number, (name, dems) in each
+        for k, dem in enumerate(dems)
+    }
+
+
+def records(found: xarray.Dataset) -> dict[str, Judged]:
+    """The observations with a fix by class of terrain."""
+    classes: dict[str, list[Judged]] = {}
+    for terrain in found["terrain"].values.tolist():
+        own = found.sel(terrain=terrain)
+        has_fix = own["found"].values
+        fields: dict[str, Any] = {name: own[name].values[has_fix] for name in method_selection.Diagnostics._fields}
+        one = Judged(method_selection.Diagnostics(**fields), own["level"].values[has_fix], own["truth"].values[has_fix])
+        classes.setdefault(terrain.rpartition(", ")[0], []).append(one)
+    return {name: joined(parts) for name, parts in classes.items()}
 
 
 def joined(parts: list[Any]) -> Any:
@@ -136,13 +163,12 @@ def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
     return rows
 
 
-def study(targets: int, samples: int, output: pathlib.Path | None, fresh: int) -> list[Table]:
-    """Predictions on every terrain against samples."""
-    found: dict[str, Judged] = {}
-    for number, (name, dems) in enumerate(terrains(fresh).items()):
-        parts = [judged(dem, targets, samples, seed=fresh + 100 * number + k) for k, dem in enumerate(dems)]
-        found[name] = joined(parts)
-        print(f"{name}: {found[name].truth.size} looks", file=sys.stderr, flush=True)
+def study(targets: int, samples: int, output: pathlib.Path | None, fresh: int, **how: Any) -> list[Table]:
+    """Predictions on every terrain against samples, as a sweep with options `how`: `executor`, `folder`."""
+    function = functools.partial(judged, count=targets, samples=samples, fresh=fresh)
+    axes, dims = {"terrain": list(places(fresh))}, dict.fromkeys([*Judged._fields, "found"], ("look",))
+    dims |= dict.fromkeys(method_selection.Diagnostics._fields, ("look",))
+    found = records(jaxgeo.sweep(function, axes, dims=dims, vectorize=False, progress=True, **how))
     held_out = joined([part for name, part in found.items() if "set on" not in name])
     found = {"all held out": held_out} | found
     within = Table("Circular errors at 90 % against samples", WITHIN)
@@ -265,12 +291,16 @@ def main() -> None:
     parser.add_argument("--targets", type=int, help="looks at each terrain (60), or cases of each class (1000)")
     parser.add_argument("--samples", type=int, default=8192, help="of a look")
     parser.add_argument("--output", type=pathlib.Path, help="a PNG of the trade-off")
+    parser.add_argument("--cluster", help="workers of Dask: local:2, tcp://host:port or a scheduler file")
+    parser.add_argument("--folder", type=pathlib.Path, help="where finished terrains are kept, for a run that goes on")
     parser.add_argument("--fresh", type=int, default=0, help="a number: other made-up terrain and looks than before")
     options = parser.parse_args()
     if options.coverage:
         tables = [coverage(options.targets or 1000, options.samples, options.fresh)]
     else:
-        tables = study(options.targets or 60, options.samples, options.output, options.fresh)
+        with connect(options.cluster) if options.cluster else contextlib.nullcontext() as client:
+            how = {"executor": client, "folder": options.folder}
+            tables = study(options.targets or 60, options.samples, options.output, options.fresh, **how)
     for table in tables:
         print(table.markdown())
 

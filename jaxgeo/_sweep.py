@@ -17,7 +17,7 @@ import numpy as np
 from jaxgeo._digest import digest_of
 from jaxgeo._parallel import Work
 from jaxgeo._parallel import version as version_of_package
-from jaxgeo._sweep_store import Results, Store
+from jaxgeo._sweep_store import Results, Store, xarray_library
 
 if TYPE_CHECKING:
     import xarray
@@ -110,6 +110,25 @@ def sweep(
     >>> print(f"{found['range'].sel(height=2000.0, off_nadir=60.0).item():.1f} m")
     4000.0 m
     """
+    xarray_library()
+    how: Any = {"units": units, "dims": dims, "vectorize": vectorize, "block": block, "folder": folder}
+    return swept(function, axes, version=version, executor=executor, progress=progress, **how).dataset()
+
+
+def swept(
+    function: Callable[..., Any],
+    axes: Mapping[str, Any],
+    *,
+    units: Mapping[str, str] | None = None,
+    dims: Mapping[str, Sequence[str]] | None = None,
+    vectorize: bool = True,
+    block: int = BLOCK,
+    folder: str | os.PathLike[str] | None = None,
+    version: str = "",
+    executor: Any = None,
+    progress: bool = False,
+) -> Results:
+    """The arrays of a `sweep`, which need xarray only if they have a folder."""
     if not callable(function):
         raise TypeError(f"function must be callable with the axes as keywords; got {type(function).__name__}.")
     if isinstance(block, bool) or not isinstance(block, int | np.integer) or block < 1:
@@ -132,7 +151,7 @@ def sweep(
         results.put(regions[number], found)
         if store is not None:
             store.write(regions[number], results)
-    return results.dataset()
+    return results
 
 
 def _plan(axes: Mapping[str, Any], most: int) -> _Plan:

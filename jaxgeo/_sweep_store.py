@@ -28,7 +28,6 @@ class Results:
         units: Mapping[str, str],
         dims: Mapping[str, tuple[str, ...]],
     ) -> None:
-        self._xarray = _xarray()
         self.names, self._coordinates, self._units, self._dims = names, coordinates, units, dims
         self.shape = tuple(len(coordinates[name][0]) for name in names)
         self.arrays: dict[str, np.ndarray] = {}
@@ -70,11 +69,11 @@ class Results:
             name: ((name,), values, {"units": unit} if unit else {})
             for name, (values, unit) in self._coordinates.items()
         }
-        return self._xarray.Dataset(variables, coords=coordinates)
+        return xarray_library().Dataset(variables, coords=coordinates)
 
     def open(self, path: pathlib.Path) -> xarray.Dataset:
         """A dataset of an earlier run."""
-        return self._xarray.open_zarr(path, decode_cf=False)
+        return xarray_library().open_zarr(path, decode_cf=False)
 
     def check(self) -> None:
         """Raise `ValueError` for results whose names or dimensions contradict the axes or each other."""
@@ -169,7 +168,7 @@ class Store:
         return True
 
 
-def _xarray() -> Any:
+def xarray_library() -> Any:
     try:
         import xarray
     except ImportError:

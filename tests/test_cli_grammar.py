@@ -168,7 +168,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "demo -o picture.png --write-scene scene.toml --json --debug",
     "study all -o out --seed 1 --json --debug",
     "study li2020 -o out --seed 1 --json --debug",
-    "study li2023 -o out --samples 100 --seed 1 --json --debug",
+    "study li2023 -o out --samples 100 --seed 1 --cluster local:1 --json --debug",
     "study xue2019 -o out --size 500 --trials 3 --seed 1 --plane-limit 0.3 --height-limit 0.4 --limit-source A --json "
     "--debug",
     "study gu2017 -o out --seed 1 --image a --reference b --dem c --scene d --vertical-datum EPSG:5773 "

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -21,6 +22,7 @@ from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_message, working
 
 WIDE = 150  # characters per line in a file
+PLACES = "places"  # folder of what workers have evaluated
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, defaults for the navigation of a real image
 
 studies = typer.Typer(cls=Commands, help="Reproduce published results.", no_args_is_help=True)
@@ -55,24 +57,39 @@ def li2020_command(
 
 
 @studies.command("li2023", epilog=examples_of("li2023"))
+@expand_groups
 def li2023_command(
     output: Folder = None,
     samples: Annotated[int, typer.Option(help="Samples per table row.")] = 50_000,
     seed: Annotated[int, typer.Option(help="Random seed of samples, terrains, places and rays.")] = 0,
+    many: ClusterOptions = ClusterOptions(),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Error analysis of Li et al. (2023) compared with ours: pointing, targets, RMS and CEP, terrain searches.
+
+    With --cluster, workers evaluate the places of RMS and CEP; with --output they are kept, and an interrupted run goes
+    on where it stopped.
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
     inputs = given_options(locals())
     with report_errors(debug):
         _check_seed(seed)
+        many.check()
         _begin(output)
         from jaxgeo.studies import li2023
 
-        _show(li2023, lambda: li2023.run(samples=samples, seed=seed), output, inputs if as_json else None)
+        def run() -> Any:
+            if many.cluster is None:
+                return li2023.run(samples=samples, seed=seed)
+            kept = None if output is None else output / PLACES
+            if kept is not None:
+                kept.mkdir(parents=True, exist_ok=True)
+            with many.connected() as client:
+                return li2023.run(samples=samples, seed=seed, executor=client, folder=kept)
+
+        _show(li2023, run, output, inputs if as_json else None)
 
 
 @studies.command("xue2019", epilog=examples_of("xue2019"))

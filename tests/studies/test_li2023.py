@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import math
 import os
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import jax
@@ -153,6 +154,20 @@ def test_synthetic_and_real_terrain() -> None:
     off = np.log([one.ce90 / one.sampled_ce90 for one in (*judged, *real_judged)])
     assert np.median(np.abs(off)) < 0.06
     assert np.abs(off).max() < 0.5
+
+
+@pytest.mark.slow
+def test_places_by_any_executor_and_from_a_folder_are_the_same(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("zarr")
+    how = {"samples": 200, "key": KEY, "places": 2, "size": 401, "names": ["hill"]}
+    alone = li2023.over_fractal_ground(**how)
+    with ThreadPoolExecutor(2) as threads:
+        kept = li2023.over_fractal_ground(**how, executor=threads, folder=tmp_path / "places.zarr")
+    monkeypatch.setattr(positions, "propagate", None)  # nothing is computed again
+    again = li2023.over_fractal_ground(**how, folder=tmp_path / "places.zarr")
+    for other in (kept, again):
+        for one, expected in zip([*other[0], *other[1]], [*alone[0], *alone[1]], strict=True):
+            np.testing.assert_equal(vars(one), vars(expected))
 
 
 @pytest.mark.parametrize("name", ["hill", "mountain"])

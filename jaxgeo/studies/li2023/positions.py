@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxgeo._locate import FIRST_HIT
+from jaxgeo._sweep import swept
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io.dem import example_dem
@@ -22,7 +24,7 @@ from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.scenes import fractal_posts, tangent_dem
 from jaxgeo.terrain import AbstractTerrain, Dem
-from jaxgeo.uncertainty import Facet, Footprint, Sampling, accuracy, presets, propagate, sample
+from jaxgeo.uncertainty import Facet, Footprint, Method, Sampling, accuracy, presets, propagate, sample
 from jaxgeo.uncertainty.metrics import circular_error, circular_probability
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.slopes import AbstractSlope
@@ -34,6 +36,25 @@ MIDDLE = 2500.0  # m, largest distance of a place from the terrain's centre, so 
 LEVEL = 5.0  # m, tolerance of the ground height at a place against the printed target
 NEAR = 60.0  # m: a place is visible if the fix is within this distance
 MOST_TRIED = 300  # places
+METHODS = ("linear, facet", "linear, footprint", "sampled")
+FIGURES = (
+    "lat_deg",
+    "lon_deg",
+    "north",
+    "east",
+    "height",
+    "rms",
+    "rms_over_1_2",
+    "ce50",
+    "ce90",
+    "held",
+    "beyond",
+    "found",
+)
+DIMS = dict.fromkeys(FIGURES, ("method",)) | {
+    "cov_enu": ("method", "enu", "enu2"),
+    "errors_enu": ("sample", "enu"),
+}
 
 
 @dataclass(frozen=True)
@@ -96,59 +117,95 @@ def over_fractal_ground(
     size: int = 601,
     seed: int = 0,
     names: Sequence[str] = tuple(RMS_SLOPES),
+    **how: Any,
 ) -> tuple[list[Accuracy], list[Judged]]:
     """Hill and mountain over synthetic fractal terrain with the given RMS slope: several places, each on its own
     terrain, drawn from `seed`.
 
     The ground height there equals that of the printed target, and the aircraft is moved sideways so that its line of
     sight intersects the ground there. The errors are propagated with the slope of the facet under the fix, with that of
-    the footprint, and by sampling; `jaxgeo.accuracy` chooses among these by itself.
+    the footprint, and by sampling; `jaxgeo.accuracy` chooses among these by itself. `how` are options of
+    `jaxgeo.sweep`: `executor`, `folder`, `progress`.
     """
-    rows, judged = [], []
-    for name in names:
-        what = (name, fractal_name(name))
-        for place in range(places):
-            drawn = terrain_seed(seed, place)
-            dem = fractal_ground(name, size=size, seed=drawn)
-            (shot,) = shots_in_sight(name, dem, places=1, seed=drawn)
-            _at(what, shot, dem, samples, jax.random.fold_in(key, place), place, rows, judged)
-    return rows, judged
+    view = functools.partial(fractal_view, size=size, seed=seed)
+    return _at_places(view, {name: fractal_name(name) for name in names}, places, samples, key, how)
 
 
 def over_real_ground(
-    *, samples: int, key: Array, places: int = 12, seed: int = 0, names: Sequence[str] = tuple(RMS_SLOPES)
+    *, samples: int, key: Array, places: int = 12, seed: int = 0, names: Sequence[str] = tuple(RMS_SLOPES), **how: Any
 ) -> tuple[list[Accuracy], list[Judged]]:
     """Hill and mountain over the packaged real elevation model, at places drawn from `seed`.
 
     The aircraft is moved there, with the height above ground that it has above the printed target; angles are those of
-    Table 2.
+    Table 2. `how` as for `over_fractal_ground`.
     """
-    dem, rows, judged = example_dem(), [], []
-    for name in names:
-        what = (name, f"real, rms slope {math.degrees(_rms_slope(dem)):.0f}°")
-        for place, shot in enumerate(shots_over(name, dem, places=places, seed=seed)):
-            _at(what, shot, dem, samples, jax.random.fold_in(key, place), place, rows, judged)
+    view = functools.partial(real_view, places=places, seed=seed)
+    ground = f"real, rms slope {math.degrees(_rms_slope(example_dem())):.0f}°"
+    return _at_places(view, dict.fromkeys(names, ground), places, samples, key, how)
+
+
+def fractal_view(name: str, place: int, *, size: int, seed: int) -> tuple[Shot, Dem]:
+    """Shot and terrain of a place on synthetic ground."""
+    drawn = terrain_seed(seed, place)
+    dem = fractal_ground(name, size=size, seed=drawn)
+    (shot,) = shots_in_sight(name, dem, places=1, seed=drawn)
+    return shot, dem
+
+
+def real_view(name: str, place: int, *, places: int, seed: int) -> tuple[Shot, Dem]:
+    """Shot and terrain of one of some places on real ground."""
+    return _real_shots(name, places, seed)[place], example_dem()
+
+
+@functools.lru_cache(maxsize=4)
+def _real_shots(name: str, places: int, seed: int) -> list[Shot]:
+    return shots_over(name, example_dem(), places=places, seed=seed)
+
+
+def _at_places(
+    view: Callable[..., tuple[Shot, Dem]],
+    grounds: Mapping[str, str],
+    places: int,
+    samples: int,
+    key: Array,
+    how: Mapping[str, Any],
+) -> tuple[list[Accuracy], list[Judged]]:
+    """All methods at all places, as a sweep of a task for each place; `grounds` has the ground of each row's name."""
+    function = functools.partial(figures_at, view=view, samples=samples, key=np.asarray(jax.random.key_data(key)))
+    axes = {"name": list(grounds), "place": np.arange(places)}
+    found = swept(function, axes, dims=DIMS, vectorize=False, block=1, **how).arrays
+    rows, judged = [], []
+    for i, (name, ground) in enumerate(grounds.items()):
+        for place in range(places):
+            own = {field: array[i, place] for field, array in found.items()}
+            for k, method in enumerate(METHODS):
+                figures = {field: float(own[field][k]) for field in FIGURES}
+                errors = own["errors_enu"] if method == "sampled" and place == 0 else None
+                rows.append(
+                    Accuracy(name, ground, method, place, **figures, cov_enu=own["cov_enu"][k], errors_enu=errors)
+                )
+            words = Method(int(own["method_of_accuracy"])).words
+            judged.append(Judged(name, ground, place, words, float(own["ce90_of_accuracy"]), rows[-1].ce90))
     return rows, judged
 
 
-def _at(
-    what: tuple[str, str],
-    shot: Shot,
-    dem: Dem,
-    samples: int,
-    key: Array,
-    place: int,
-    rows: list[Accuracy],
-    judged: list[Judged],
-) -> None:
-    """All methods at one place, appended to `rows` and `judged`."""
-    rows.append(_linear(what, "linear, facet", shot, dem, Facet(), place))
-    rows.append(_linear(what, "linear, footprint", shot, dem, Footprint(), place))
-    rows.append(_drawn(what, shot, dem, samples, key, place))
+def figures_at(
+    name: str, place: int, *, view: Callable[..., tuple[Shot, Dem]], samples: int, key: np.ndarray
+) -> dict[str, np.ndarray | float | int]:
+    """Figures of all methods at a place, in the order of `METHODS`; the sampled errors; what `jaxgeo.accuracy` says."""
+    (shot, dem), what = view(name, place), (name, "")
+    own = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), place)
+    each = [
+        _linear(what, METHODS[0], shot, dem, Facet(), place),
+        _linear(what, METHODS[1], shot, dem, Footprint(), place),
+        _drawn(what, shot, dem, samples, own, place),
+    ]
     model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
-    sampling = Sampling(count=samples, key=jax.random.fold_in(key, 1))
+    sampling = Sampling(count=samples, key=jax.random.fold_in(own, 1))
     found = accuracy(printed.sensor(), shot, printed.UV, dem, model, sampling=sampling)
-    judged.append(Judged(*what, place, str(found.words), float(found.circular), rows[-1].ce90))
+    figures: dict[str, Any] = {field: np.array([getattr(one, field) for one in each]) for field in FIGURES}
+    figures |= {"cov_enu": np.stack([one.cov_enu for one in each]), "errors_enu": each[-1].errors_enu}
+    return figures | {"method_of_accuracy": int(found.method), "ce90_of_accuracy": float(found.circular)}
 
 
 def terrain_seed(seed: int, place: int) -> int:
@@ -272,12 +329,16 @@ def _linear(
 
 
 def _drawn(
-    what: tuple[str, str], shot: Shot, terrain: AbstractTerrain, samples: int, key: Array, place: int = 0
+    what: tuple[str, str],
+    shot: Shot,
+    terrain: AbstractTerrain,
+    samples: int,
+    key: Array,
+    place: int = 0,
 ) -> Accuracy:
     model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
-    keep = place == 0
     found = sample(
-        printed.sensor(), shot, printed.UV, terrain, model, key=key, count=samples, figures=("CE",), keep=keep
+        printed.sensor(), shot, printed.UV, terrain, model, key=key, count=samples, figures=("CE",), keep=True
     )
     squares = np.diag(found.cov_enu) + found.mean_enu**2
     held = float(np.mean(found.radii["CE"] <= np.sqrt(squares.sum()) / 1.2))

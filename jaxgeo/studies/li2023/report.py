@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -66,11 +69,22 @@ class Report(AbstractReport):
 
 
 def run(
-    *, samples: int = SAMPLES, places: int = PLACES, seed: int = 0, terrains: int = TERRAINS, rays: int = RAYS
+    *,
+    samples: int = SAMPLES,
+    places: int = PLACES,
+    seed: int = 0,
+    terrains: int = TERRAINS,
+    rays: int = RAYS,
+    executor: Any = None,
+    folder: str | os.PathLike[str] | None = None,
+    progress: bool = False,
 ) -> Report:
     """Run the study with `samples` samples for each row of a table; on synthetic and real terrain they are split among
     `places` places. The searches run over `terrains` terrains of each kind with `rays` rays each. `seed` sets all
     random numbers: samples, terrains, places and rays.
+
+    The places are evaluated as by `jaxgeo.sweep`: in parallel by an `executor` or a Dask client, and into a `folder`,
+    where a later run finds them. Neither changes the results.
 
     Raises `ValueError` for fewer than two samples or terrains, one place or eight rays.
     """
@@ -86,8 +100,10 @@ def run(
     plain = printed.TERRAINS["plain"]
     level = f"level flight, {plain.outer:.2f}°"
     each = -(-samples // places)
-    synthetic, judged = over_fractal_ground(samples=each, key=keys[3], places=places, seed=seed)
-    real, real_judged = over_real_ground(samples=each, key=keys[4], places=places, seed=seed)
+    how: Any = {"samples": each, "places": places, "seed": seed, "executor": executor, "progress": progress}
+    kept = {name: None if folder is None else pathlib.Path(folder) / f"{name}.zarr" for name in ("synthetic", "real")}
+    synthetic, judged = over_fractal_ground(key=keys[3], folder=kept["synthetic"], **how)
+    real, real_judged = over_real_ground(key=keys[4], folder=kept["real"], **how)
     return Report(
         pointing=[
             pointing_errors("plain of Table 2", printed.shot_of(plain), samples=samples, key=keys[0]),
