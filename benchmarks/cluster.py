@@ -32,7 +32,7 @@ from support.survey import survey, write_tiles
 
 import jaxgeo
 from jaxgeo.cluster import connect, locate_frames
-from jaxgeo.cluster.frames import Setting, identity, parts_of
+from jaxgeo.cluster.frames import Files, Setting, identity, parts_of
 from jaxgeo.io import open_dem
 from jaxgeo.io.fix_parts import FixParts
 
@@ -58,7 +58,7 @@ def plan(files: Any, rows: int) -> dict[str, float]:
 def _planned(observed: Any, files: Any, rows: int) -> list[Any]:
     output = FixParts.of(observed.position, observed.columns, probability=0.9)
     parts = parts_of(observed, files, rows)
-    identity(observed, files, Setting(pathlib.Path(), output, files, None, 0.0), rows)
+    identity(observed, files, Files(pathlib.Path(), output, Setting(files, None, 0.0)), rows)
     return parts
 
 
