@@ -38,12 +38,12 @@ class ClusterOptions(OptionGroup):
     def check(self, output: pathlib.Path | None, **others: bool) -> None:
         """Raises `UserError` for an unknown kind of cluster, an unsuitable output, `others` (options given, by name)
         that do not apply, and --resume alone."""
-        from jaxgeo.cluster.client import check_name
-
         if self.cluster is None:
             if self.resume:
                 raise UserError("--resume needs --cluster; other runs are short, or divided by --shard.")
             return
+        from jaxgeo.cluster.client import check_name
+
         for name in (name for name, is_given in others.items() if is_given):
             raise UserError(f"--{name.replace('_', '-')} does not go with --cluster; leave it out.")
         with _told(self.cluster):

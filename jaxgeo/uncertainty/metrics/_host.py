@@ -5,18 +5,21 @@ Agrees with `_radius` to about 1e-12 of the radius (1e-10 for a sphere).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-import scipy  # submodules load lazily
+import scipy  # submodules load lazily, when first used
 
 from jaxgeo._compile import is_direct
 from jaxgeo.uncertainty.metrics._ball import FAR, FARTHEST, MID_NODES, OUTER_NODES
 from jaxgeo.uncertainty.metrics._radius import CLOSE, HIGHEST, MOST_STEPS, ROUNDING
 
 MOST = 64  # radii; more are computed by a program
+FEW = 200  # calls of a slower function that take less time than importing scipy.special
 
 
 def host_radii(cov: Any, probability: Any, mean: Any) -> np.ndarray | None:
@@ -90,7 +93,7 @@ def _guess(sigma: np.ndarray, mean: np.ndarray, probability: float) -> float:
     """As `_radius._guess`."""
     first = 1.0 + float(mean @ mean)
     share = float(2.0 * np.sum(sigma**4) + 4.0 * np.sum((mean * sigma) ** 2)) / (9.0 * first**2)
-    root = max(1.0 - share + scipy.special.ndtri(probability) * math.sqrt(share), 1e-3)
+    root = max(1.0 - share + NormalDist().inv_cdf(probability) * math.sqrt(share), 1e-3)
     return math.sqrt(first * root**3)
 
 
@@ -104,10 +107,18 @@ def _in_ball(radius: np.ndarray, mean: Sequence[Any], sigma: Sequence[float]) ->
     if not inner:
         scale, side = sigma[0] * math.sqrt(2.0), np.where(middle < 0.0, -1.0, 1.0)
         near, far = ((side * middle + to_end) / scale for to_end in (-radius, radius))
-        return np.asarray(0.5 * (scipy.special.erfc(near) - scipy.special.erfc(far)))
+        return np.asarray(0.5 * (_erfc(near) - _erfc(far)))
     angle, share = _rule(len(inner))
     chord, weight = _chords(radius[..., None], middle, sigma[-1], angle)
     return np.asarray(np.sum(share * weight * _in_ball(chord, inner, sigma[:-1]), axis=-1))
+
+
+_calls = itertools.count()
+_slow_erfc = np.frompyfunc(math.erfc, 1, 1)
+
+
+def _erfc(x: np.ndarray) -> np.ndarray:
+    return np.asarray(_slow_erfc(x), np.float64) if next(_calls) < FEW else scipy.special.erfc(x)
 
 
 def _rule(inner: int) -> tuple[np.ndarray, Any]:
