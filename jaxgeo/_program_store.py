@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax._src.config import persistent_cache_min_compile_time_secs
-from jax._src.lib.mlir import passmanager
+from jax._src.lib.mlir import passmanager  # pyright: ignore
 
 try:
     import fcntl

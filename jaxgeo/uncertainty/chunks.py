@@ -222,7 +222,7 @@ def fixes_of_normals(
     part = Part.of(0, count, len(size.devices))
     drawn = draw_chunk(plan.fixes, jax.tree.map(jnp.asarray, lines), part, jnp.zeros(3), size, True)
     drawn = drawn.of_samples(0, count)
-    return np.where(np.isnan(drawn.errors), 0.0, drawn.errors), drawn.statuses
+    return np.nan_to_num(np.asarray(drawn.errors)), np.asarray(drawn.statuses)
 
 
 @quick_filter_jit

@@ -117,8 +117,8 @@ _calls = itertools.count()
 _slow_erfc = np.frompyfunc(math.erfc, 1, 1)
 
 
-def _erfc(x: np.ndarray) -> np.ndarray:
-    return np.asarray(_slow_erfc(x), np.float64) if next(_calls) < FEW else scipy.special.erfc(x)
+def _erfc(x: Any) -> np.ndarray:
+    return np.asarray((_slow_erfc if next(_calls) < FEW else scipy.special.erfc)(x), np.float64)
 
 
 def _rule(inner: int) -> tuple[np.ndarray, Any]:
