@@ -145,7 +145,7 @@ def second_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) 
     per_height = 1.0 / jnp.where(jacobian[3, 0] == 0.0, 1.0, jacobian[3, 0])
     along = jnp.concatenate([-per_height * jacobian[3:, 1:], jnp.eye(model.size)])  # range and errors, on the surface
     bends = along.T @ hessian @ along
-    hessian = bends[:3] - (per_height * jacobian[:3, 0])[:, None, None] * bends[3]
+    hessian = bends[:3] - jnp.multiply.outer(per_height * jacobian[:3, 0], bends[3])
     jacobian = jacobian[:3] @ along
     mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
     cov = jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
