@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from jaxgeo.io import _proj as _proj  # makes the packaged geoid known to PROJ
+
 if TYPE_CHECKING:
     from jaxgeo.io.accuracy_map import write_accuracy_map
     from jaxgeo.io.acquisitions import (
