@@ -32,6 +32,7 @@ except ImportError:  # Windows
 # Packages whose classes and functions may be part of a program's key: their versions are part of it as well.
 KNOWN_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "lineax", "jaxtyping")
 STANDARD = ("builtins", "functools", "collections", "pathlib", "types", "operator", "copyreg", "enum", "_operator")
+FOR_EVER = 1e9  # s
 # Settings of JAX for a part of a process; and words in the names of those that change no program.
 SETTINGS = (
     "jax_enable_x64 jax_default_matmul_precision jax_numpy_dtype_promotion jax_default_prng_impl "
@@ -120,7 +121,9 @@ class Programs:
         # Under a name of its own, JAX's cache does not have it: a program read from there cannot be written again.
         of_arrays.__name__ = f"{self._function.__name__}_{uuid.uuid4().hex[:8]}"
         lowered = jax.jit(of_arrays).lower(arrays)
-        program = lowered.compile(compiler_options=self._options_of())
+        _forget_names(lowered)
+        with _no_second_copy():
+            program = lowered.compile(compiler_options=self._options_of())
         return Program(program, results[-1], "lapack" in lowered.as_text())
 
     def _name(self, described: Any) -> str | None:
@@ -134,6 +137,25 @@ class Programs:
         except (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError):
             return None
         return f"program-{hashlib.sha256(_environment().encode() + file.getvalue()).hexdigest()}"
+
+
+def _no_second_copy() -> contextlib.AbstractContextManager[Any]:
+    """A setting by which JAX's own cache does not keep what is compiled."""
+    with contextlib.suppress(ImportError):  # of no stable interface
+        from jax._src.config import persistent_cache_min_compile_time_secs
+
+        return persistent_cache_min_compile_time_secs(FOR_EVER)
+    return contextlib.nullcontext()
+
+
+def _forget_names(lowered: jax.stages.Lowered) -> None:
+    """Drop the names of operations, a fifth of a program's size and of the time to load it."""
+    with contextlib.suppress(Exception):  # of no stable interface, and of no effect on results
+        from jax._src.lib.mlir import passmanager  # pyright: ignore
+
+        module: Any = lowered._lowering._hlo  # pyright: ignore
+        with module.context:
+            passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
 
 
 def _described(function: Any) -> tuple[Any, ...]:

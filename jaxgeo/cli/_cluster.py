@@ -34,10 +34,10 @@ class ClusterOptions(OptionGroup):
 
     def check(self, **others: bool) -> None:
         """Raises `UserError` for an unknown kind of cluster, and `others` (options given, by name) beside it."""
-        from jaxgeo.cluster.client import check_name
-
         if self.cluster is None:
             return
+        from jaxgeo.cluster.client import check_name
+
         for name in (name for name, is_given in others.items() if is_given):
             raise UserError(f"--{name.replace('_', '-')} does not go with --cluster; leave it out.")
         with _told(self.cluster):

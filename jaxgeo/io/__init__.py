@@ -2,42 +2,48 @@
 
 from __future__ import annotations
 
-from jaxgeo.io.accuracy_map import write_accuracy_map
-from jaxgeo.io.acquisitions import (
-    Acquisition,
-    AcquisitionSet,
-    UnstatedDatum,
-    read_acquisition,
-    read_acquisitions,
-    with_positions,
-    with_usual_errors,
-)
-from jaxgeo.io.bal import BalProblem, read_bal, write_bal
-from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
-from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
-from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
-from jaxgeo.io.exposures import write_exposures
-from jaxgeo.io.files import DemFiles, open_dem
-from jaxgeo.io.fix_files import write_fixes
-from jaxgeo.io.footprints import write_footprints
-from jaxgeo.io.gcp import GroundControl, read_gcp_list
-from jaxgeo.io.geoid import height_msl, undulation
-from jaxgeo.io.image_points import read_image_points, write_image_points
-from jaxgeo.io.images import read_image
-from jaxgeo.io.locate_on_disk import intersect_files, locate_files
-from jaxgeo.io.located import accuracy_of_observations, locate_observations
-from jaxgeo.io.map_raster import MapRaster
-from jaxgeo.io.navigation import read_navigation
-from jaxgeo.io.observation_reader import observations_of, read_observations
-from jaxgeo.io.observations import ObservationBatch, Observations
-from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
-from jaxgeo.io.orientation_writer import write_orientations
-from jaxgeo.io.orientations import Orientations, read_orientations
-from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
-from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
-from jaxgeo.io.rectified import RectifiedFile, rectify_file
-from jaxgeo.io.scene_writer import write_updated_scene
-from jaxgeo.io.tie_points import TieRow, write_tie_points
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from jaxgeo.io import _proj as _proj  # makes the packaged geoid known to PROJ
+
+if TYPE_CHECKING:
+    from jaxgeo.io.accuracy_map import write_accuracy_map
+    from jaxgeo.io.acquisitions import (
+        Acquisition,
+        AcquisitionSet,
+        UnstatedDatum,
+        read_acquisition,
+        read_acquisitions,
+        with_positions,
+        with_usual_errors,
+    )
+    from jaxgeo.io.bal import BalProblem, read_bal, write_bal
+    from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
+    from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
+    from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
+    from jaxgeo.io.exposures import write_exposures
+    from jaxgeo.io.files import DemFiles, open_dem
+    from jaxgeo.io.fix_files import write_fixes
+    from jaxgeo.io.footprints import write_footprints
+    from jaxgeo.io.gcp import GroundControl, read_gcp_list
+    from jaxgeo.io.geoid import height_msl, undulation
+    from jaxgeo.io.image_points import read_image_points, write_image_points
+    from jaxgeo.io.images import read_image
+    from jaxgeo.io.locate_on_disk import intersect_files, locate_files
+    from jaxgeo.io.located import accuracy_of_observations, locate_observations
+    from jaxgeo.io.map_raster import MapRaster
+    from jaxgeo.io.navigation import read_navigation
+    from jaxgeo.io.observation_reader import observations_of, read_observations
+    from jaxgeo.io.observations import ObservationBatch, Observations
+    from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
+    from jaxgeo.io.orientation_writer import write_orientations
+    from jaxgeo.io.orientations import Orientations, read_orientations
+    from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
+    from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
+    from jaxgeo.io.rectified import RectifiedFile, rectify_file
+    from jaxgeo.io.scene_writer import write_updated_scene
+    from jaxgeo.io.tie_points import TieRow, write_tie_points
 
 __all__ = [
     "Acquisition",
@@ -100,3 +106,48 @@ __all__ = [
     "write_tie_points",
     "write_updated_scene",
 ]
+
+# The module of each name, loaded when first used: a reader of one format needs few of them.
+_NAMES_OF = {
+    "accuracy_map": "write_accuracy_map",
+    "acquisitions": "Acquisition AcquisitionSet UnstatedDatum read_acquisition read_acquisitions with_positions "
+    "with_usual_errors",
+    "bal": "BalProblem read_bal write_bal",
+    "datasets": "accuracy_map_dataset samples_dataset",
+    "dem": "DemReport example_dem read_dem read_dem_and_report",
+    "errors": "DemError ImageError TableError VerticalDatumError",
+    "exposures": "write_exposures",
+    "files": "DemFiles open_dem",
+    "fix_files": "write_fixes",
+    "footprints": "write_footprints",
+    "gcp": "GroundControl read_gcp_list",
+    "geoid": "height_msl undulation",
+    "image_points": "read_image_points write_image_points",
+    "images": "read_image",
+    "locate_on_disk": "intersect_files locate_files",
+    "located": "accuracy_of_observations locate_observations",
+    "map_raster": "MapRaster",
+    "navigation": "read_navigation",
+    "observation_reader": "observations_of read_observations",
+    "observations": "ObservationBatch Observations",
+    "opensfm": "Reconstruction read_opensfm read_opensfm_cameras",
+    "orientation_writer": "write_orientations",
+    "orientations": "Orientations read_orientations",
+    "ortho_writer": "OrthoWriter write_orthoimage",
+    "orthoimages": "OrthoimageReport read_orthoimage read_orthoimage_and_report",
+    "rectified": "RectifiedFile rectify_file",
+    "scene_writer": "write_updated_scene",
+    "tie_points": "TieRow write_tie_points",
+}
+_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        found = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        return globals().setdefault(name, found)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

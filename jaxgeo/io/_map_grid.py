@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,3 +115,13 @@ def _on_ellipsoid(lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
     normals = unit_normals(lon_deg, lat_deg)
     radius = WGS84.a / np.sqrt(1.0 - WGS84.e2 * normals[..., 2] ** 2)
     return radius[..., None] * normals * np.array([1.0, 1.0, 1.0 - WGS84.e2])
+
+
+def projection_text(text: str) -> str:
+    """The projection of the first line in PROJ's notation."""
+    if text.upper() in ("WGS84", "EPSG:4326"):
+        return "EPSG:4326"
+    utm = re.fullmatch(r"WGS84\s+UTM\s+([0-9]{1,2})\s*([NS]?)", text, re.IGNORECASE)
+    if utm and 1 <= int(utm[1]) <= 60:
+        return f"EPSG:{327 if utm[2].upper() == 'S' else 326}{int(utm[1]):02d}"
+    return text

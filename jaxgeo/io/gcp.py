@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +18,7 @@ from jaxgeo.io._columns import refuse_doubles
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import CsvTable
 from jaxgeo.io._dialect import WHITE, with_points
-from jaxgeo.io._map_grid import MapGrid, understood_crs
+from jaxgeo.io._map_grid import MapGrid, projection_text, understood_crs
 from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -125,16 +124,6 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
             raise TableError(f"{path}, row {line}: {len(words)} words; expected {' '.join(COLUMNS)} [gcp_name].")
         cells.append([*words[:6], words[6] if len(words) > 6 else ""])
     return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], with_points(cells, WHITE))
-
-
-def projection_text(text: str) -> str:
-    """The projection of the first line in PROJ's notation."""
-    if text.upper() in ("WGS84", "EPSG:4326"):
-        return "EPSG:4326"
-    utm = re.fullmatch(r"WGS84\s+UTM\s+([0-9]{1,2})\s*([NS]?)", text, re.IGNORECASE)
-    if utm and 1 <= int(utm[1]) <= 60:
-        return f"EPSG:{327 if utm[2].upper() == 'S' else 326}{int(utm[1]):02d}"
-    return text
 
 
 def _points(table: CsvTable, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

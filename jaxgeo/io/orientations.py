@@ -12,7 +12,6 @@ import numpy as np
 import pyproj
 
 from jaxgeo._checks import check_is, require_x64
-from jaxgeo.adjust.records import as_names
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import Columns, refuse_doubles, refuse_nowhere
 from jaxgeo.io._csv import Limits
@@ -56,6 +55,8 @@ class Orientations:
 
     def __post_init__(self) -> None:
         check_is(self.pose, Pose, "pose", "One Pose, whose fields hold an entry for each image.")
+        from jaxgeo.adjust.records import as_names  # heavy, and rarely needed
+
         names = as_names(self.names, "names")
         unique, counts = np.unique(names, return_counts=True)
         if np.any(counts > 1):

@@ -26,7 +26,7 @@ from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
-from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose_with_radii, select_method
+from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sampled import FIGURES, draw_errors
@@ -117,7 +117,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
-    (diagnostics, facet, footprint, _), by_slope = diagnose_with_radii(inputs, nominal, model, level)
+    diagnostics, facet, footprint, _ = diagnose(inputs, nominal, model)
     method, probability = Method(int(_select_method(diagnostics))), float(level)
     linear = facet if method is Method.facet else footprint
     cov, bias, failed, sampled = linear.cov_enu, linear.bias_enu, np.nan, None
@@ -126,7 +126,8 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
         radii = [sampled.quantile(figure, probability).value for figure in FIGURES]
         cov, bias, failed = np.full((3, 3), np.nan), np.full(3, np.nan), sampled.failed
     else:
-        radii = [np.asarray(figure)[int(method)] for figure in by_slope]
+        errors_of = (linear.circular_error, linear.linear_error, linear.spherical_error)
+        radii = [error_of(level) for error_of in errors_of]
     circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
     more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
     return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)

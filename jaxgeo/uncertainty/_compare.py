@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -18,12 +17,12 @@ from jaxgeo.fix import Fix
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty._second_order import second_moments, sigma_moments
+from jaxgeo.uncertainty._second_order import second_moments
 from jaxgeo.uncertainty.linear import Propagation, propagate_linear
 from jaxgeo.uncertainty.method_selection import diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, draw_errors
+from jaxgeo.uncertainty.sampled import Quantile, Sampled, Sampler
 from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 from jaxgeo.uncertainty.slopes import Level
 
@@ -126,14 +125,15 @@ def compare(
     sampling = resolve_sampling(sampling, SAMPLES)
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
-    drawn = draw_errors(inputs, nominal, model, search, sampling, keep=True)
+    sampler = Sampler.of(inputs, nominal, model, search, sampling)
+    drawn = sampler.drawn(keep=True)
     _, facet, footprint, profile = diagnose(inputs, nominal, model)
     methods = {
         "linear, facet": facet,
         "linear, footprint": footprint,
         "linear, level ground": propagate_linear(inputs, nominal, model, Level()),
         "second order": second_moments(inputs, nominal, model),
-        "sigma points": sigma_moments(inputs, nominal, model, search),
+        "sigma points": sampler.moments_of_sigma_points(),
     }
     quantiles = _figures(drawn)
     rows = []
@@ -145,7 +145,7 @@ def compare(
     if drawn.errors_enu is not None:
         ahead = np.asarray(nominal.direction_enu)[:2]
         along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
-        beyond = np.asarray(profile.jumped(jnp.asarray(np.nan_to_num(along))))
+        beyond = profile.jumped(np.nan_to_num(along))
     linear = {name: result for name, result in methods.items() if isinstance(result, Propagation)}
     jumped = float(beyond.mean())
     return Comparison(nominal.fix, tuple(rows), quantiles, digits, jumped, drawn.failed, drawn, linear, beyond)

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._compile import quick_filter_jit, quick_jit
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
@@ -19,11 +20,10 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 
-_circular_error, _linear_error, _spherical_error = map(quick_jit, (circular_error, linear_error, spherical_error))
 SPREAD = 3.0**0.5  # sigmas: distance of a sigma point, exact to the fourth moment of a Gaussian along its axis
 
 
@@ -38,15 +38,15 @@ class Moments(NamedTuple):
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
         """Radius in m about the nominal fix in the horizontal plane."""
-        return _circular_error(self.cov_enu[:2, :2], probability, self.mean_enu[:2])
+        return circular_radius(self.cov_enu, probability, self.mean_enu)
 
     def linear_error(self, probability: ArrayLike) -> Scalar:
         """Height in m above and below the nominal fix."""
-        return _linear_error(self.cov_enu[2, 2], probability, self.mean_enu[2])
+        return linear_radius(self.cov_enu, probability, self.mean_enu)
 
     def spherical_error(self, probability: ArrayLike) -> Scalar:
         """3D radius in m about the nominal fix."""
-        return _spherical_error(self.cov_enu, probability, self.mean_enu)
+        return spherical_radius(self.cov_enu, probability, self.mean_enu)
 
 
 @accepts_observation
@@ -75,11 +75,25 @@ def sigma_points(
 def sigma_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
     """`sigma_points` of validated input, about the nominal fix."""
     model = model.at(inputs, nominal)
-    factor = SPREAD * model.factor().T
-    points = jnp.concatenate([jnp.zeros((1, model.size)), factor, -factor])
+    points = sigma_points_of(model.size) @ model.factor().T
     offsets, statuses = jax.vmap(lambda error: model.fix_offset(inputs, nominal, error, search))(points)
+    return moments_of_points(nominal, offsets, statuses)
+
+
+def sigma_points_of(axes: int) -> Float[Array, "points axes"]:
+    """Sigma points of standard normal axes."""
+    ahead = SPREAD * np.eye(axes)
+    return jnp.asarray(np.concatenate([np.zeros((1, axes)), ahead, -ahead]))
+
+
+@quick_filter_jit
+def moments_of_points(
+    nominal: NominalFix, offsets: Float[Array, "points 3"], statuses: Int8[Array, " points"]
+) -> Moments:
+    """Moments from the offsets in m, and statuses, of the fixes of the `sigma_points_of` a model."""
+    axes = len(offsets) // 2
     found = counts_as_fix(statuses)
-    middle, ahead, behind = offsets[0], offsets[1 : model.size + 1], offsets[model.size + 1 :]
+    middle, ahead, behind = offsets[0], offsets[1 : axes + 1], offsets[axes + 1 :]
     bend = (ahead + behind - 2.0 * middle[None, :]) / SPREAD**2  # second derivatives along the axes
     slope = (ahead - behind) / (2.0 * SPREAD)
     mean = middle + 0.5 * jnp.sum(bend, axis=0)
@@ -111,12 +125,28 @@ def second_order(
 
 @quick_filter_jit
 def second_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Moments:
-    """`second_order` of validated input, about the nominal fix."""
+    """`second_order` of validated input, about the nominal fix.
+
+    By the implicit function theorem from one Hessian, of a point along the line of sight and its height above the
+    surface by range and errors, which compiles in half the time of that of the intersection.
+    """
     model = model.at(inputs, nominal)
-    factor, zero = model.factor(), jnp.zeros(model.size)
-    offset = lambda z: model.linear_offset(inputs, nominal, factor @ z)  # noqa: E731
-    with_itself = lambda z: (jax.jacfwd(offset)(z),) * 2  # noqa: E731
-    hessian, jacobian = jax.jacfwd(with_itself, has_aux=True)(zero)
+    factor = model.factor()
+
+    def reached(place: Float[Array, " range_and_axes"]) -> Float[Array, "4"]:
+        moved = model.moved(inputs, factor @ place[1:])
+        p_ecef = moved.ray().through(moved.air).at(place[0])
+        offset = nominal.R_ecef_from_enu.T @ (p_ecef - nominal.p_ecef)
+        return jnp.append(offset, moved.terrain.clearance(p_ecef, nominal.cell))
+
+    with_itself = lambda place: (jax.jacfwd(reached)(place),) * 2  # noqa: E731
+    place = jnp.append(inputs.range_to_surface(nominal), jnp.zeros(model.size))
+    hessian, jacobian = jax.jacfwd(with_itself, has_aux=True)(place)
+    per_height = 1.0 / jnp.where(jacobian[3, 0] == 0.0, 1.0, jacobian[3, 0])
+    along = jnp.concatenate([-per_height * jacobian[3:, 1:], jnp.eye(model.size)])  # range and errors, on the surface
+    bends = along.T @ hessian @ along
+    hessian = bends[:3] - jnp.multiply.outer(per_height * jacobian[:3, 0], bends[3])
+    jacobian = jacobian[:3] @ along
     mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
     cov = jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
     known = lambda x: jnp.where(nominal.fix.found, x, jnp.nan)  # noqa: E731

@@ -203,6 +203,34 @@ def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3
     return (_draw_chunk_long if size.is_long_run else _draw_chunk_short)(plan, lines, part, centre, size, keep)
 
 
+def fixes_of_normals(
+    plan: Plan, normals: Float[Array, "points axes"], size: Size
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """(offsets in m from the nominal fix, statuses) of the fixes of given standard normal vectors.
+
+    The fixes are found by the program of the samples, so that nothing large is compiled. None if the points are more
+    than a block of samples.
+    """
+    count = len(normals)
+    if count > BLOCK:
+        return None
+    room = size.capacity * len(size.devices) - count
+    lines = jax.tree.map(np.asarray, _lines_of_normals(plan.lines, normals))
+    lines = jax.tree.map(lambda x: np.concatenate([x, np.broadcast_to(x[:1], (room, *x.shape[1:]))]), lines)
+    if len(size.devices) > 1:
+        lines = jax.device_put(lines, NamedSharding(_mesh(size.devices), PartitionSpec("samples")))
+    part = Part.of(0, count, len(size.devices))
+    drawn = draw_chunk(plan.fixes, jax.tree.map(jnp.asarray, lines), part, jnp.zeros(3), size, True)
+    drawn = drawn.of_samples(0, count)
+    return np.nan_to_num(np.asarray(drawn.errors)), np.asarray(drawn.statuses)
+
+
+@quick_filter_jit
+def _lines_of_normals(plan: LinePlan, normals: Float[Array, "points axes"]) -> PerturbedLines:
+    stages = (lambda normal: plan.model.draw(plan.roots, normal),)
+    return perturbed_lines(plan.model, plan.inputs, plan.places, stages, normals)
+
+
 def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
     def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part) -> PerturbedLines:
         whole = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device

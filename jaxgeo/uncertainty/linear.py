@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import is_known
-from jaxgeo._compile import quick_filter_jit, quick_jit
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
@@ -22,17 +22,15 @@ from jaxgeo.fix import Fix
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep, Tangents, sweep_of
+from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, along_plane
 
 Swept = Float[Array, "3 axes"]
 FACET = Facet()
 AXES = 16  # the derivatives of an error model have a multiple of this many axes, so that models share programs
 LEAST_KNOWN = 0.5  # share of a footprint with known ground, below which the fitted plane is not used
-# Under `jit` an invalid covariance, as without a fix, gives NaN instead of an exception.
-_circular_error, _linear_error, _spherical_error = map(quick_jit, (circular_error, linear_error, spherical_error))
 
 
 class Propagation(Record):
@@ -67,15 +65,15 @@ class Propagation(Record):
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
         """Radius in m of the horizontal circle about the fix that contains the true point with `probability`."""
-        return _circular_error(self.cov_enu[..., :2, :2], probability, self.bias_enu[..., :2])
+        return circular_radius(self.cov_enu, probability, self.bias_enu)
 
     def linear_error(self, probability: ArrayLike) -> Scalar:
         """Half-height in m of the vertical interval about the fix that contains the true point with `probability`."""
-        return _linear_error(self.cov_enu[..., 2, 2], probability, self.bias_enu[..., 2])
+        return linear_radius(self.cov_enu, probability, self.bias_enu)
 
     def spherical_error(self, probability: ArrayLike) -> Scalar:
         """Radius in m of the sphere about the fix that contains the true point with `probability`."""
-        return _spherical_error(self.cov_enu, probability, self.bias_enu)
+        return spherical_radius(self.cov_enu, probability, self.bias_enu)
 
 
 @accepts_observation

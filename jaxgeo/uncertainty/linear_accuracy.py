@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnosed, Diagnostics, Method, diagnose, select_method
-from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 
 
 class LinearAccuracy(NamedTuple):
@@ -43,9 +43,9 @@ def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Num
     is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
     cov, bias = one.cov_enu, one.bias_enu
     radii = (
-        circular_error(cov[..., :2, :2], probability, bias[..., :2]),
-        linear_error(cov[..., 2, 2], probability, bias[..., 2]),
-        spherical_error(cov, probability, bias),
+        circular_radius(cov, probability, bias),
+        linear_radius(cov, probability, bias),
+        spherical_radius(cov, probability, bias),
     )
     circular, linear, spherical = (jnp.where(is_linear, radius, jnp.nan) for radius in radii)
     return circular, linear, spherical

@@ -17,7 +17,7 @@ from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
 from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
 from jaxgeo.uncertainty.map_cells import Request
-from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnosed, Diagnostics, Method, Radii, diagnose_with_radii
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
@@ -139,15 +139,11 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
         diagnostics = Diagnostics(*[unknown] * len(Diagnostics._fields))
         cov, bias = (jnp.asarray(np.full(shape, np.nan)) for shape in ((3, 3), 3))
         return nominal, LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics), (unknown, unknown, unknown)
-    found, radii = diagnose_with_radii(inputs, nominal, model, request.probability)
-    return nominal, *_selected(found, radii, nominal)
+    found = _select_linear(diagnose(inputs, nominal, model), nominal)
+    return nominal, found, linear_radii(found, request.probability)
 
 
-@quick_filter_jit
-def _selected(found: Diagnosed, radii: Radii, nominal: NominalFix) -> tuple[LinearAccuracy, tuple[Any, ...]]:
-    selected = select_linear(found, nominal)
-    is_linear = (selected.method == Method.facet) | (selected.method == Method.footprint)
-    return selected, tuple(jnp.where(is_linear, radius[selected.method], jnp.nan) for radius in radii)
+_select_linear = quick_filter_jit(select_linear)
 
 
 @long_run_filter_jit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._checks import is_known
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
-from jaxgeo._typing import Flag, Numbers, Scalar
+from jaxgeo._typing import Flag, Scalar
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.linear import (
     FACET,
@@ -23,10 +23,10 @@ from jaxgeo.uncertainty.linear import (
     over_slope,
     propagation_of,
 )
-from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep
 from jaxgeo.uncertainty.profile import Profile, profile_of
+from jaxgeo.uncertainty.radii import circular_radius, linear_radius
 from jaxgeo.uncertainty.slopes import Footprint
 
 FOOTPRINT = Footprint()
@@ -66,10 +66,6 @@ class Diagnostics(NamedTuple):
     off: Scalar
 
 
-_Parts: TypeAlias = tuple[Diagnostics, OverSlope, OverSlope, Profile]
-Radii: TypeAlias = tuple[Numbers, Numbers, Numbers]
-
-
 @portable
 class Diagnosed(NamedTuple):
     """Diagnostics of a fix with their sources: linear propagation over facet and footprint, and the terrain profile."""
@@ -83,65 +79,69 @@ class Diagnosed(NamedTuple):
 def diagnose(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Diagnosed:
     """Diagnostics of a fix, without samples."""
     if is_known((inputs, nominal, model)):
-        return diagnose_with_radii(inputs, nominal, model, jnp.asarray(LEVEL, jnp.float64))[0]
-    model = model.at(inputs, nominal)
-    sweep, cov_error = model.sweep(inputs, nominal), model.covariance()
-    (diagnostics, facet, footprint, profile), _ = _diagnose(inputs.terrain, nominal, sweep, cov_error, None)
-    facet, footprint = (propagation_of(nominal, model, cov_error, found) for found in (facet, footprint))
-    return Diagnosed(diagnostics, facet, footprint, profile)
+        errors = derivatives(inputs, nominal, model)
+        found = _examine_shared(inputs.terrain, nominal, errors.shared)
+        facet, footprint = (errors.propagation(nominal, one) for one in (found.facet, found.footprint))
+    else:
+        model = model.at(inputs, nominal)
+        sweep, cov_error = model.sweep(inputs, nominal), model.covariance()
+        found = _examine(inputs.terrain, nominal, sweep, cov_error)
+        facet, footprint = (propagation_of(nominal, model, cov_error, one) for one in (found.facet, found.footprint))
+    return Diagnosed(_diagnostics(found), facet, footprint, found.profile)
 
 
-def diagnose_with_radii(
-    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, probability: Scalar
-) -> tuple[Diagnosed, Radii]:
-    """Diagnostics of a fix, and the circular, linear and spherical errors (2,) in m at a probability over the facet and
-    over the footprint; for arguments that are not traced."""
-    errors = derivatives(inputs, nominal, model)
-    found, radii = _diagnose_shared(inputs.terrain, nominal, errors.shared, probability)
-    diagnostics, *over, profile = found
-    facet, footprint = (errors.propagation(nominal, one) for one in over)
-    return Diagnosed(diagnostics, facet, footprint, profile), radii
+class _Examined(NamedTuple):
+    """What the diagnostics come from: linear propagation over facet and footprint, the terrain profile and its circular
+    and linear error, the covariances (2, 3, 3) and biases (2, 3) over facet and footprint."""
+
+    facet: OverSlope
+    footprint: OverSlope
+    profile: Profile
+    over_profile: tuple[Scalar, Scalar]
+    cov_enu: Float[Array, "2 3 3"]
+    bias_enu: Float[Array, "2 3"]
+    grazing: Scalar
 
 
 @quick_filter_jit
-def _diagnose_shared(
-    terrain: AbstractTerrain, nominal: NominalFix, shared: Shared, probability: Scalar
-) -> tuple[_Parts, Any]:
-    return _diagnose(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error, probability)
+def _examine_shared(terrain: AbstractTerrain, nominal: NominalFix, shared: Shared) -> _Examined:
+    return _examine(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error)
 
 
-def _diagnose(
-    terrain: AbstractTerrain,
-    nominal: NominalFix,
-    sweep: Sweep,
-    cov_error: Float[Array, "axes axes"],
-    probability: Scalar | None,
-) -> tuple[_Parts, Any]:
-    """Diagnostics from derivatives by the errors; and the radii at a probability, if one is given."""
+def _examine(
+    terrain: AbstractTerrain, nominal: NominalFix, sweep: Sweep, cov_error: Float[Array, "axes axes"]
+) -> _Examined:
     facet, footprint = (over_slope(terrain, nominal, sweep, cov_error, slope) for slope in (FACET, FOOTPRINT))
-    grazing = jnp.abs(jnp.cos(jnp.asarray(nominal.fix.incidence_surface)))
-    cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # stacked: the inverse of the integral is compiled once
-    bias = jnp.stack([facet.bias_enu, footprint.bias_enu])
-    levels = LEVEL if probability is None else jnp.stack([jnp.asarray(LEVEL), probability])[:, None]
-    circular = jnp.atleast_2d(circular_error(cov[:, :2, :2], levels, bias[:, :2]))
-    linear = jnp.atleast_2d(linear_error(cov[:, 2, 2], levels, bias[:, 2]))
     profile = profile_of(terrain, nominal, sweep, cov_error, footprint.surface.normal)
-    diagnostics = Diagnostics(
-        circular[0, 0],
-        circular[0, 1],
-        profile.circular_error(LEVEL),
-        linear[0, 0],
-        linear[0, 1],
-        profile.linear_error(LEVEL),
-        profile.jumps,
-        profile.fails,
-        profile.clearance,
-        grazing,
-        footprint.surface.known,
-        profile.off,
+    return _Examined(
+        facet,
+        footprint,
+        profile,
+        (profile.circular_error(LEVEL), profile.linear_error(LEVEL)),
+        jnp.stack([facet.cov_enu, footprint.cov_enu]),
+        jnp.stack([facet.bias_enu, footprint.bias_enu]),
+        jnp.abs(jnp.cos(jnp.asarray(nominal.fix.incidence_surface))),
     )
-    radii = None if probability is None else (circular[1], linear[1], spherical_error(cov, probability, bias))
-    return (diagnostics, facet, footprint, profile), radii
+
+
+def _diagnostics(found: _Examined) -> Diagnostics:
+    facet, footprint = (x for x in circular_radius(found.cov_enu, LEVEL, found.bias_enu))
+    facet_up, footprint_up = (x for x in linear_radius(found.cov_enu, LEVEL, found.bias_enu))
+    profile, profile_up = found.over_profile
+    return Diagnostics(
+        facet,
+        footprint,
+        profile,
+        facet_up,
+        footprint_up,
+        profile_up,
+        found.profile.jumps,
+        found.profile.fails,
+        found.profile.clearance,
+        found.grazing,
+        found.footprint.surface.known,
+        found.profile.off,
+    )
 
 
 class Method(enum.IntEnum):

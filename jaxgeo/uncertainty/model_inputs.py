@@ -189,6 +189,10 @@ class ModelInputs(Record):
         """Offsets of this line of sight from the fix of `nominal`."""
         return swept_by(self.ray(), self.air, self.terrain, nominal)
 
+    def range_to_surface(self, nominal: NominalFix) -> Scalar:
+        """Range in m of `nominal`, with the derivatives of that of this line of sight to the same surface."""
+        return _range_to_surface(self.ray().through(self.air), self.terrain, nominal, None)
+
     def fix_offset(self, nominal: NominalFix, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
         """(offset in m of this fix from `nominal`, in east, north, up at `nominal`; status)."""
         return nominal.offset_of(self.sightline(), self.terrain, self.air, search)
@@ -253,7 +257,7 @@ def swept_by(
 ) -> Sweep:
     """Offsets of a straight line of sight, refracted by `air`, from a fix; of a terrain that lies `raised` m higher."""
     ray = ray.through(air)
-    distance = implicit_root(_clearance, nominal.distance, (ray, terrain, nominal.cell, raised))
+    distance = _range_to_surface(ray, terrain, nominal, raised)
     offset = lambda distance: nominal.R_ecef_from_enu.T @ (ray.at(distance) - nominal.p_ecef)  # noqa: E731
     ground = -_clearance_at(nominal.p_ecef, terrain, nominal.cell, raised)
     return Sweep(offset(distance), offset(nominal.distance), offset(nominal.distance + FARTHER), ground)
@@ -271,6 +275,11 @@ def sweep_of(base: Tangents, terrain: AbstractTerrain, nominal: NominalFix, by_e
 
     along = lambda one: jax.jvp(swept, (base.ray, base.air, jnp.zeros(())), tuple(one))[1]  # noqa: E731
     return jax.vmap(along, in_axes=-1, out_axes=-1)(by_error)
+
+
+def _range_to_surface(ray: Ray, terrain: AbstractTerrain, nominal: NominalFix, raised: Scalar | None) -> Scalar:
+    """Range in m of the nominal fix; its derivatives are those of the range to the surface of the same cell."""
+    return implicit_root(_clearance, nominal.distance, (ray, terrain, nominal.cell, raised))
 
 
 def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, Array, Scalar | None]) -> Scalar:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int
 
@@ -62,10 +63,10 @@ class Profile(NamedTuple):
     gap: Scalar
     off: Scalar
 
-    def jumped(self, ahead: Float[Array, "..."]) -> Bool[Array, "..."]:
-        """Whether points `ahead` m ahead of the fix lie beyond a gap of hidden ground."""
-        between = jnp.interp(ahead, self.places, self.unseen) - self.unseen[NODES]
-        return jnp.abs(between) > self.gap
+    def jumped(self, ahead: np.ndarray) -> np.ndarray:
+        """Whether points `ahead` m ahead of the fix lie beyond a gap of hidden ground; not traced."""
+        places, unseen, gap = (np.asarray(x) for x in (self.places, self.unseen, self.gap))
+        return np.abs(np.interp(ahead, places, unseen) - unseen[NODES]) > gap
 
     def circular_error(self, probability: float) -> Scalar:
         """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail."""

@@ -19,7 +19,8 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, chunks, make_plan, one_ahead
+from jaxgeo.uncertainty._second_order import Moments, moments_of_points, sigma_moments, sigma_points_of
+from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, chunks, fixes_of_normals, make_plan, one_ahead
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.histogram import Counter
 from jaxgeo.uncertainty.host_arrays import with_bar
@@ -108,7 +109,7 @@ def sample(
     wanted = Wanted(tuple(figures), keep, summary)
     is_shared = resolved.devices is None and jax.process_count() > 1
     draw = _draw_together if is_shared else _draw
-    return draw(_Sampler.of(inputs, nominal, model, search, resolved), wanted, first, about_mean, timeout)
+    return draw(Sampler.of(inputs, nominal, model, search, resolved), wanted, first, about_mean, timeout)
 
 
 class Wanted(NamedTuple):
@@ -129,10 +130,10 @@ def draw_errors(
     keep: bool = False,
 ) -> Sampled:
     """`sample` of checked inputs, model and options, about a nominal fix, by this process alone."""
-    return _draw(_Sampler.of(inputs, nominal, model, search, sampling), Wanted(keep=keep))
+    return Sampler.of(inputs, nominal, model, search, sampling).drawn(keep=keep)
 
 
-class _Sampler(NamedTuple):
+class Sampler(NamedTuple):
     """A sampling that is ready to draw: plan and size of its programs, options, and values that identify it."""
 
     plan: Plan
@@ -143,7 +144,7 @@ class _Sampler(NamedTuple):
     @classmethod
     def of(
         cls, inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, search: AbstractSearch, sampling: Any
-    ) -> _Sampler:
+    ) -> Sampler:
         devices = tuple(jax.local_devices() if sampling.devices is None else sampling.devices)
         size = Size.of(sampling.count, sampling.chunk, sampling.scrambles, devices)
         key = sampling.random_key
@@ -151,6 +152,19 @@ class _Sampler(NamedTuple):
         values = {"sensor": inputs.sensor, "shot": inputs.motion, "time": inputs.time, "uv": inputs.uv}
         values |= {"terrain": inputs.terrain, "atmosphere": inputs.air, "errors": model, "search": search}
         return cls(plan, size, sampling, values | {"draws": sampling.draws, "key": key})
+
+    def drawn(self, *, keep: bool) -> Sampled:
+        """All samples, drawn by this process alone."""
+        return _draw(self, Wanted(keep=keep))
+
+    def moments_of_sigma_points(self) -> Moments:
+        """`sigma_points`, whose fixes are found by the program of the samples."""
+        inputs, model = self.plan.lines.inputs, self.plan.lines.model
+        nominal = self.plan.fixes.nominal
+        fixes = fixes_of_normals(self.plan, sigma_points_of(model.size), self.size)
+        if fixes is None:
+            return sigma_moments(inputs, nominal, model, self.values["search"])
+        return moments_of_points(nominal, *map(jnp.asarray, fixes))
 
     def draw(
         self, first: int, count: int, wanted: Wanted, centre: np.ndarray, half_width: float | None = None
@@ -168,7 +182,7 @@ class _Sampler(NamedTuple):
 
 
 def _draw(
-    sampler: _Sampler, wanted: Wanted, first: int = 0, about_mean: bool = False, timeout: float = TIMEOUT
+    sampler: Sampler, wanted: Wanted, first: int = 0, about_mean: bool = False, timeout: float = TIMEOUT
 ) -> Sampled:
     """Samples that this process draws alone."""
     count, centre = sampler.options.count, np.zeros(3)
@@ -177,7 +191,7 @@ def _draw(
     return sampler.draw(first, count, wanted, centre, sampler.options.half_width)
 
 
-def _draw_together(sampler: _Sampler, wanted: Wanted, first: int, about_mean: bool, timeout: float) -> Sampled:
+def _draw_together(sampler: Sampler, wanted: Wanted, first: int, about_mean: bool, timeout: float) -> Sampled:
     """Samples that all processes of `jax.distributed` draw, each its part."""
     options, size = sampler.options, sampler.size
 

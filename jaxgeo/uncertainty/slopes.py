@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 
 from jaxgeo._numerics import smaller
 from jaxgeo._record import Record
-from jaxgeo._typing import Scalar, Vector3
+from jaxgeo._typing import Index, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty.metrics._ball import eigen
 from jaxgeo.uncertainty.model_inputs import NominalFix
 
 Points = Float[Array, "points 2"]
@@ -86,11 +87,14 @@ class Footprint(AbstractSlope):
 
     def surface(self, terrain: AbstractTerrain, nominal: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del facet
-        surface = _plane(jnp.array([0.0, 0.0, 1.0]))
-        for _ in range(ROUNDS):
+
+        def fitted(_: Index, surface: Surface) -> Surface:
             swept = spread.on(surface, nominal.direction_enu)
-            surface = fit_plane(terrain, nominal, (swept @ spread.cov_error @ swept.T)[:2, :2])
-        return surface
+            return fit_plane(terrain, nominal, (swept @ spread.cov_error @ swept.T)[:2, :2])
+
+        # a loop, so that the fit is compiled once; it has no derivatives
+        spread, nominal = jax.lax.stop_gradient((spread, nominal))
+        return jax.lax.fori_loop(0, ROUNDS, fitted, _plane(jnp.array([0.0, 0.0, 1.0])))
 
 
 def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
@@ -101,15 +105,16 @@ def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
 def fit_plane(terrain: AbstractTerrain, nominal: NominalFix, cov: Float[Array, "2 2"]) -> Surface:
     """Plane fitted to a terrain over an error ellipse (m2, east and north) about a fix; no derivatives."""
     terrain, nominal, cov = jax.lax.stop_gradient((terrain, nominal, cov))
-    root = _wide_root(cov)
+    axes, widths = _wide_ellipse(cov)
+    root = axes * widths[None, :]
     places = _even_places()
     level = lambda place: nominal.p_ecef + nominal.R_ecef_from_enu[:, :2] @ (root @ place)  # noqa: E731
     heights, known = jax.vmap(lambda place: terrain.ground_above(level(place)))(places)
     weight = known.astype(jnp.float64)
     design = jnp.concatenate([jnp.ones((len(places), 1)), places], axis=1)
     normal_matrix = design.T @ (weight[:, None] * design) + 1e-9 * jnp.eye(3)
-    above, *slopes = jnp.linalg.solve(normal_matrix, design.T @ (weight * heights))
-    slope = jnp.linalg.solve(root.T, jnp.stack(slopes))
+    above, *slopes = _solved(normal_matrix, design.T @ (weight * heights))
+    slope = axes @ (jnp.stack(slopes) / widths)
     residual = heights - design @ jnp.stack([above, *slopes])
     share = jnp.mean(weight)
     roughness = jnp.sqrt(jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight), 1.0))
@@ -129,8 +134,22 @@ def _even_places() -> Points:
     return jnp.stack([radius[:, None] * jnp.cos(turn), radius[:, None] * jnp.sin(turn)], axis=-1).reshape(-1, 2)
 
 
-def _wide_root(cov: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
-    """Root of a 2D covariance, widened where it is too narrow to estimate a slope."""
-    values, vectors = jnp.linalg.eigh(jnp.where(jnp.all(jnp.isfinite(cov)), cov, jnp.eye(2)))
+def _wide_ellipse(cov: Float[Array, "2 2"]) -> tuple[Float[Array, "2 2"], Float[Array, "2"]]:
+    """Axes (columns) and half widths of a 2D covariance, widened where it is too narrow to estimate a slope."""
+    values, axes = eigen(jnp.where(jnp.all(jnp.isfinite(cov)), cov, jnp.eye(2)))
     sigma = jnp.sqrt(jnp.maximum(values, 0.0))
-    return vectors * jnp.maximum(sigma, NARROWEST * jnp.maximum(sigma[1], 1.0))[None, :]
+    return axes.T, jnp.maximum(sigma, NARROWEST * jnp.maximum(sigma[0], 1.0))
+
+
+def _solved(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> list[Scalar]:
+    """Solution of a few equations with a positive definite matrix; without LAPACK, which takes long to load."""
+    rows = [[*matrix[k], right[k]] for k in range(len(right))]
+    for k, row in enumerate(rows):
+        for j in range(k + 1, len(rows)):
+            factor = rows[j][k] / row[k]
+            rows[j] = [a - factor * b for a, b in zip(rows[j], row, strict=True)]
+    solution: list[Scalar] = []
+    for k in reversed(range(len(rows))):
+        known = sum(a * x for a, x in zip(rows[k][k + 1 : -1], solution, strict=True))
+        solution.insert(0, (rows[k][-1] - known) / rows[k][k])
+    return solution

@@ -72,6 +72,24 @@ def test_spheres(sigmas, radii):
     np.testing.assert_allclose(m.spherical_error(np.diag(sigmas) ** 2, PROBABILITIES), radii, rtol=1e-8)
 
 
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_radii_in_numpy_are_those_of_the_program(d: int) -> None:
+    """A few radii called directly are computed in NumPy, traced ones and many by a program."""
+    rng = np.random.default_rng(d)
+    n = 64
+    axes = np.linalg.qr(rng.normal(size=(n, d, d)))[0]
+    sigmas = 10.0 ** rng.uniform(-2.0, 1.0, (n, d))
+    sigmas[: n // 4, 1:] = 0.0
+    cov = np.einsum("nij,nj,nkj->nik", axes, sigmas**2, axes)
+    cov = 0.5 * (cov + cov.transpose(0, 2, 1))
+    bias = rng.normal(size=(n, d)) * rng.choice([0.0, 0.3, 3.0], (n, 1)) * sigmas[:, :1]
+    probability = rng.choice([0.01, 0.5, 0.9, 0.9973], n)
+    cov, bias = (cov[:, 0, 0], bias[:, 0]) if d == 1 else (cov, bias)
+    radius = (m.linear_error, m.circular_error, m.spherical_error)[d - 1]
+    direct, traced = radius(cov, probability, bias), jax.jit(radius)(cov, probability, bias)
+    np.testing.assert_allclose(direct, traced, rtol=1e-11)
+
+
 def test_figures_of_shotgroups():
     """R's shotGroups 0.8: qHoyt and pHoyt with omega the mean square and q the ratio of the axes, qRice."""
     hoyt = np.array([5.0, 10.0, 15.0])[:, None, None] / 1.25 * np.diag([1.0, 0.25])

@@ -5,13 +5,28 @@ from __future__ import annotations
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Pose, Shot
 from jaxgeo.studies.scenes import tangent_dem
-from jaxgeo.uncertainty import ErrorModel, Method, Sampling, accuracy, compare, propagate, sample, sources
+from jaxgeo.terrain import FirstHit
+from jaxgeo.uncertainty import (
+    ErrorModel,
+    Method,
+    Sampling,
+    accuracy,
+    compare,
+    propagate,
+    sample,
+    second_order,
+    sigma_points,
+    sources,
+)
+from jaxgeo.uncertainty.model import checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 CENTRE = Geodetic.from_degrees(lat=46.0, lon=8.0, height=0.0)
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=20_000.0, width=401, height=401)
@@ -88,9 +103,44 @@ def test_a_crest_is_seen_to_make_lines_of_sight_jump(dem) -> None:
 
 @pytest.mark.slow
 def test_on_a_plain_the_samples_bear_every_method_out(dem) -> None:
-    comparison = compare(SENSOR, shot_at(0.0), UV, dem, MODEL, sampling=Sampling(count=4096, key=KEY), digits=1)
+    scene = (SENSOR, shot_at(0.0), UV, dem, MODEL)
+    comparison = compare(*scene, sampling=Sampling(count=4096, key=KEY), digits=1)
     assert {"linear, facet", "linear, footprint", "sigma points"} <= set(comparison.valid), str(comparison)
     assert comparison.jumped == comparison.failed == 0.0
+    alone = sample(*scene, key=KEY, count=4096, keep=True)
+    np.testing.assert_array_equal(comparison.sampled.errors_enu, alone.errors_enu)
+    points = sigma_points(*scene)  # by a program of their own, those of the comparison by that of the samples
+    row = next(row for row in comparison.rows if row.method == "sigma points")
+    figures = (
+        points.circular_error(0.5),
+        points.circular_error(0.9),
+        points.linear_error(0.9),
+        points.spherical_error(0.9),
+    )
+    assert row.values == pytest.approx([float(figure) for figure in figures], rel=1e-8)
+
+
+@pytest.mark.slow
+def test_moments_to_second_order_are_those_of_the_hessian_of_the_intersection(dem) -> None:
+    """From one Hessian on the line of sight by the implicit function theorem, and by differentiating the solution."""
+    scene = (SENSOR, shot_at(0.0), UV, dem.with_posts(ground("crest")))
+    inputs = ModelInputs.of(*scene)
+    nominal = inputs.nominal_fix(FirstHit())
+    model = checked_model(MODEL, inputs)
+
+    @jax.jit
+    def by_hessian(inputs, nominal, model):
+        model = model.at(inputs, nominal)
+        offset = lambda z: model.linear_offset(inputs, nominal, model.factor() @ z)  # noqa: E731
+        zero = jnp.zeros(model.size)
+        jacobian, hessian = jax.jacfwd(offset)(zero), jax.jacfwd(jax.jacfwd(offset))(zero)
+        mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
+        return mean, jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
+
+    mean, cov = by_hessian(inputs, nominal, model)
+    found = second_order(*scene, MODEL)
+    np.testing.assert_allclose(found.mean_enu, mean, atol=1e-9 * float(jnp.abs(mean).max()))
+    np.testing.assert_allclose(found.cov_enu, cov, atol=1e-9 * float(jnp.abs(cov).max()))
 
 
 @pytest.mark.slow

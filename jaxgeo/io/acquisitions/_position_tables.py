@@ -15,12 +15,12 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import Columns, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable
 from jaxgeo.io._json import read_json, shown, value_of
+from jaxgeo.io._map_grid import projection_text
 from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, read_orientation_columns
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
-from jaxgeo.io.gcp import projection_text
 from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 

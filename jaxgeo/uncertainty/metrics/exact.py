@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._typing import Numbers
+from jaxgeo.uncertainty.metrics._host import host_radii
 from jaxgeo.uncertainty.metrics._radius import HIGHEST, ROUNDING, chance_within, radius_of
 
 
@@ -110,7 +111,8 @@ def _radius(cov: Any, probability: Any, bias: Any, d: int) -> Numbers:
         raise ValueError(
             f"probability must be at most 1 - 1e-10, up to which a radius has digits; got 1 - {1.0 - known.max():.3g}."
         )
-    return _radii(cov, level, bias)
+    found = host_radii(cov, level, bias)
+    return _radii(cov, level, bias) if found is None else jnp.asarray(found)
 
 
 def _chance(cov: Any, radius: Any, bias: Any, d: int) -> Numbers:
