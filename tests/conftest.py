@@ -10,11 +10,14 @@ import pathlib
 import platform
 import subprocess
 import sys
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import jax
 import pytest
+import support.checked_types  # named in pyproject.toml, loaded here
+from jax._src import compilation_cache
 from jax._src.interpreters import mlir
 from support.fuzz_seed import VARIABLE, fuzz_seed
 
@@ -27,6 +30,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Compiling is most of the suite's time: what was compiled once, in any process, is not compiled again.
 jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+# Places in the source, kept for each operation, are a tenth of compiling.
+jax.config.update("jax_include_full_tracebacks_in_locations", False)
+jax.config.update("jax_traceback_in_locations_limit", 0)
+compilation_cache.compress_executable = functools.partial(zlib.compress, level=1)  # a third of the time
+compilation_cache.decompress_executable = zlib.decompress
 # Commands in processes of their own load bytecode in place of compiling the package each time.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
