@@ -125,7 +125,7 @@ def left_resident() -> list[int]:
 def memory_within_bounds(left_resident: list[int]) -> Iterator[None]:
     """Compiled programs are dropped after a file of tests that leaves the process large; few are called again."""
     yield
-    if _resident() > max(MUCH_RESIDENT, min(left_resident[0] + MANY_PROGRAMS // 2, MORE_RESIDENT)):
+    if _stays_above(max(MUCH_RESIDENT, min(left_resident[0] + MANY_PROGRAMS // 2, MORE_RESIDENT))):
         left_resident[0] = _drop_programs()
 
 
@@ -133,8 +133,15 @@ def memory_within_bounds(left_resident: list[int]) -> Iterator[None]:
 def memory_within_limits(left_resident: list[int]) -> Iterator[None]:
     """Compiled programs are dropped after any test that leaves the process very large."""
     yield
-    if _resident() > max(MORE_RESIDENT, min(left_resident[0] + MANY_PROGRAMS, MOST_RESIDENT)):
+    if _stays_above(max(MORE_RESIDENT, min(left_resident[0] + MANY_PROGRAMS, MOST_RESIDENT))):
         left_resident[0] = _drop_programs()
+
+
+def _stays_above(limit: int) -> bool:
+    """Whether this process has more bytes in memory, also after what is free has been returned."""
+    if _resident() > limit:
+        _return_free_memory()
+    return _resident() > limit
 
 
 def _drop_programs() -> int:
@@ -145,11 +152,15 @@ def _drop_programs() -> int:
         for batches in sys.modules["jaxgeo._compile"].Batches.known:
             batches.clear()
     gc.collect()
+    _return_free_memory()
+    return _resident()
+
+
+def _return_free_memory() -> None:
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc keeps what is freed; other libraries do not
         if trim is not None:
             trim(0)
-    return _resident()
 
 
 def _resident() -> int:

@@ -122,15 +122,12 @@ class Seen(NamedTuple):
 
 
 def _projected(sensor: Sensor, shot: Any, point: Any, **how: Any) -> tuple[np.ndarray, np.ndarray]:
-    """In parts of BATCH, which the search of lines of sight compiles for in a third of the time."""
-
     def one(lat: Any, lon: Any, height: Any) -> Any:
         found = project(sensor, shot, Geodetic(lat=lat, lon=lon, height=height), **how)
         return found.uv, found.status
 
-    parts = [jax.vmap(one)(*(x[k : k + BATCH] for x in point)) for k in range(0, len(point[0]), BATCH)]
-    uv, status = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return uv, status
+    uv, status = jax.vmap(one)(*point)
+    return np.asarray(uv), np.asarray(status)
 
 
 @pytest.fixture(autouse=True)
