@@ -10,14 +10,15 @@ import pathlib
 import platform
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import jax
 import pytest
-import support.checked_types  # named in pyproject.toml, loaded here
-from jax._src import compilation_cache
+import support.checked_types  # noqa: F401  # named in pyproject.toml, loaded here
+from jax._src import compilation_cache, compiler
 from jax._src.interpreters import mlir
 from support.fuzz_seed import VARIABLE, fuzz_seed
 
@@ -55,6 +56,8 @@ if platform.machine() in ("x86_64", "AMD64"):
 # From the first on programs are dropped after a file of tests; from the second on after any test, if there are many.
 MUCH_RESIDENT, MORE_RESIDENT, MOST_RESIDENT = 1_550_000_000, 1_700_000_000, 1_850_000_000
 MANY_PROGRAMS = 500_000_000  # bytes
+BUDGET = 1.5  # s of processor time of one core test, with what it compiles
+BEGUN, SPENT = pytest.StashKey[float](), "processor seconds"
 
 make_ir_context = mlir.make_ir_context
 one_ir_context = functools.cache(make_ir_context)
@@ -69,6 +72,30 @@ def shared_ir_context() -> Any:
 
 
 mlir.make_ir_context = shared_ir_context
+
+SMALL_TO_COMPILE, SMALL_TO_READ = 0.05, 0.01  # s: a program of one operation, of some 20 kB
+small_programs: dict[str, Any] = {}  # by the key of the cache
+cache_read, cache_write = compiler._cache_read, compiler._cache_write
+
+
+def read_program(name: str, key: str, *of_device: Any) -> Any:
+    """As JAX, but small programs are read once in a process: they stay when programs are dropped."""
+    if key in small_programs:
+        return small_programs[key], 0
+    begun = time.process_time()
+    program, seconds = cache_read(name, key, *of_device)
+    if program is not None and time.process_time() - begun < SMALL_TO_READ:
+        small_programs[key] = program
+    return program, seconds
+
+
+def write_program(key: str, seconds: float, name: str, backend: Any, program: Any, callbacks: Any) -> None:
+    if seconds < SMALL_TO_COMPILE and not callbacks:
+        small_programs[key] = program
+    cache_write(key, seconds, name, backend, program, callbacks)
+
+
+compiler._cache_read, compiler._cache_write = read_program, write_program
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -98,12 +125,40 @@ def pytest_collection_finish() -> None:
     gc.freeze()  # modules and tests stay to the end: cycles are not looked for among them again
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    item.stash[BEGUN] = _processor_seconds()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    if call.when == "teardown":
+        item.user_properties.append((SPENT, _processor_seconds() - item.stash[BEGUN]))
+    return (yield)
+
+
+def _processor_seconds() -> float:
+    """Of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
+
+
 def pytest_report_header() -> str:
     return f"mutants of files: {VARIABLE}={os.environ[VARIABLE]}"
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """How many mutants of files were read in all, and how it went."""
+    """The tests over their budget of time; how many mutants of files were read in all, and how it went."""
+    every = [one for kind in terminalreporter.stats.values() for one in kind if getattr(one, "when", "") == "teardown"]
+    spent = sorted(((dict(one.user_properties).get(SPENT, 0.0), one.nodeid) for one in every), reverse=True)
+    over = [seconds for seconds, _ in spent if seconds > BUDGET]
+    if over:
+        terminalreporter.write_line(
+            f"processor time: {sum(seconds for seconds, _ in spent):.0f} s; of it {sum(over):.0f} s by {len(over)} "
+            f"tests of more than {BUDGET} s, with what others use too:"
+        )
+        for seconds, name in spent[: min(10, len(over))]:
+            terminalreporter.write_line(f"{seconds:6.1f} s {name}")
     reports = [one for kind in ("passed", "failed") for one in terminalreporter.stats.get(kind, [])]
     told = [found for one in reports for name, found in getattr(one, "user_properties", ()) if name == "mutants"]
     if told:
