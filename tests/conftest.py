@@ -10,11 +10,15 @@ import pathlib
 import platform
 import subprocess
 import sys
+import time
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import jax
 import pytest
+import support.checked_types  # noqa: F401  # named in pyproject.toml, loaded here
+from jax._src import compilation_cache, compiler
 from jax._src.interpreters import mlir
 from support.fuzz_seed import VARIABLE, fuzz_seed
 
@@ -27,6 +31,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Compiling is most of the suite's time: what was compiled once, in any process, is not compiled again.
 jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+# Places in the source, kept for each operation, are a tenth of compiling.
+jax.config.update("jax_include_full_tracebacks_in_locations", False)
+jax.config.update("jax_traceback_in_locations_limit", 0)
+compilation_cache.compress_executable = functools.partial(zlib.compress, level=1)  # a third of the time
+compilation_cache.decompress_executable = zlib.decompress
 # Commands in processes of their own load bytecode in place of compiling the package each time.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -47,6 +56,8 @@ if platform.machine() in ("x86_64", "AMD64"):
 # From the first on programs are dropped after a file of tests; from the second on after any test, if there are many.
 MUCH_RESIDENT, MORE_RESIDENT, MOST_RESIDENT = 1_550_000_000, 1_700_000_000, 1_850_000_000
 MANY_PROGRAMS = 500_000_000  # bytes
+BUDGET = 1.5  # s of processor time of one core test, with what it compiles
+BEGUN, SPENT = pytest.StashKey[float](), "processor seconds"
 
 make_ir_context = mlir.make_ir_context
 one_ir_context = functools.cache(make_ir_context)
@@ -61,6 +72,30 @@ def shared_ir_context() -> Any:
 
 
 mlir.make_ir_context = shared_ir_context
+
+SMALL_TO_COMPILE, SMALL_TO_READ = 0.05, 0.01  # s: a program of one operation, of some 20 kB
+small_programs: dict[str, Any] = {}  # by the key of the cache
+cache_read, cache_write = compiler._cache_read, compiler._cache_write
+
+
+def read_program(name: str, key: str, *of_device: Any) -> Any:
+    """As JAX, but small programs are read once in a process: they stay when programs are dropped."""
+    if key in small_programs:
+        return small_programs[key], 0
+    begun = time.process_time()
+    program, seconds = cache_read(name, key, *of_device)
+    if program is not None and time.process_time() - begun < SMALL_TO_READ:
+        small_programs[key] = program
+    return program, seconds
+
+
+def write_program(key: str, seconds: float, name: str, backend: Any, program: Any, callbacks: Any) -> None:
+    if seconds < SMALL_TO_COMPILE and not callbacks:
+        small_programs[key] = program
+    cache_write(key, seconds, name, backend, program, callbacks)
+
+
+compiler._cache_read, compiler._cache_write = read_program, write_program
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -90,12 +125,40 @@ def pytest_collection_finish() -> None:
     gc.freeze()  # modules and tests stay to the end: cycles are not looked for among them again
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    item.stash[BEGUN] = _processor_seconds()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    if call.when == "teardown":
+        item.user_properties.append((SPENT, _processor_seconds() - item.stash[BEGUN]))
+    return (yield)
+
+
+def _processor_seconds() -> float:
+    """Of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
+
+
 def pytest_report_header() -> str:
     return f"mutants of files: {VARIABLE}={os.environ[VARIABLE]}"
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """How many mutants of files were read in all, and how it went."""
+    """The tests over their budget of time; how many mutants of files were read in all, and how it went."""
+    every = [one for kind in terminalreporter.stats.values() for one in kind if getattr(one, "when", "") == "teardown"]
+    spent = sorted(((dict(one.user_properties).get(SPENT, 0.0), one.nodeid) for one in every), reverse=True)
+    over = [seconds for seconds, _ in spent if seconds > BUDGET]
+    if over:
+        terminalreporter.write_line(
+            f"processor time: {sum(seconds for seconds, _ in spent):.0f} s; of it {sum(over):.0f} s by {len(over)} "
+            f"tests of more than {BUDGET} s, with what others use too:"
+        )
+        for seconds, name in spent[: min(10, len(over))]:
+            terminalreporter.write_line(f"{seconds:6.1f} s {name}")
     reports = [one for kind in ("passed", "failed") for one in terminalreporter.stats.get(kind, [])]
     told = [found for one in reports for name, found in getattr(one, "user_properties", ()) if name == "mutants"]
     if told:
@@ -117,7 +180,7 @@ def left_resident() -> list[int]:
 def memory_within_bounds(left_resident: list[int]) -> Iterator[None]:
     """Compiled programs are dropped after a file of tests that leaves the process large; few are called again."""
     yield
-    if _resident() > max(MUCH_RESIDENT, min(left_resident[0] + MANY_PROGRAMS // 2, MORE_RESIDENT)):
+    if _stays_above(max(MUCH_RESIDENT, min(left_resident[0] + MANY_PROGRAMS // 2, MORE_RESIDENT))):
         left_resident[0] = _drop_programs()
 
 
@@ -125,8 +188,15 @@ def memory_within_bounds(left_resident: list[int]) -> Iterator[None]:
 def memory_within_limits(left_resident: list[int]) -> Iterator[None]:
     """Compiled programs are dropped after any test that leaves the process very large."""
     yield
-    if _resident() > max(MORE_RESIDENT, min(left_resident[0] + MANY_PROGRAMS, MOST_RESIDENT)):
+    if _stays_above(max(MORE_RESIDENT, min(left_resident[0] + MANY_PROGRAMS, MOST_RESIDENT))):
         left_resident[0] = _drop_programs()
+
+
+def _stays_above(limit: int) -> bool:
+    """Whether this process has more bytes in memory, also after what is free has been returned."""
+    if _resident() > limit:
+        _return_free_memory()
+    return _resident() > limit
 
 
 def _drop_programs() -> int:
@@ -137,11 +207,15 @@ def _drop_programs() -> int:
         for batches in sys.modules["jaxgeo._compile"].Batches.known:
             batches.clear()
     gc.collect()
+    _return_free_memory()
+    return _resident()
+
+
+def _return_free_memory() -> None:
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc keeps what is freed; other libraries do not
         if trim is not None:
             trim(0)
-    return _resident()
 
 
 def _resident() -> int:

@@ -177,7 +177,7 @@ def loky(**how: Any) -> concurrent.futures.Executor:
     "pool, way",
     [
         (spawned, "environment"),
-        (loky, "initializer"),
+        pytest.param(loky, "initializer", marks=pytest.mark.slow),  # as joblib does below
         pytest.param(spawned, "initializer", marks=pytest.mark.slow),
         pytest.param(loky, "environment", marks=pytest.mark.slow),
     ],
@@ -211,6 +211,7 @@ def test_new_workers_run_from_the_first_task(pool: Any, nobody_says: None) -> No
     assert in_worker(pool, place) == digits(place)
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_and_a_pool_run_from_the_first_task(nobody_says: None) -> None:
     place, context = looks.pose().position, multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
@@ -248,6 +249,7 @@ def test_workers_that_are_meant_to_have_32_bits_say_so(
     assert all(word in told for word in (*TURN_ON, "initializer=jaxgeo.enable_x64"))
 
 
+@pytest.mark.slow
 def test_joblib_runs_in_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     jaxgeo.enable_x64()

@@ -304,21 +304,21 @@ def test_the_tiles_of_a_map_are_the_map(made: Made, tmp_path: pathlib.Path) -> N
     east, north = (float(x) for x in pyproj.Transformer.from_crs("EPSG:4326", CRS).transform(*nadir_of(shot)))
     how: dict[str, Any] = {
         "crs": CRS,
-        "bounds": (east - 800.0, north - 400.0, east + 800.0, north + 400.0),
+        "bounds": (east - 640.0, north - 320.0, east + 640.0, north + 320.0),
         "sampling": None,
     }
     given = sensor, shot, ConstantHeight(500.0), errors
-    run = accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=100.0, **how)
-    whole = write_accuracy_map(tmp_path / "whole.tif", *given, resolution=100.0, **how)
+    run = accuracy_map(tmp_path / "tiles", *given, tile=10, resolution=64.0, **how)
+    whole = write_accuracy_map(tmp_path / "whole.tif", *given, resolution=64.0, **how)
     assert run.parts == ("tile-00000-00000.tif", "tile-00000-00001.tif")
     assert sum(run.counts.values()) == np.size(whole.method)
-    compared(tmp_path / "tiles", tmp_path / "whole.tif", 50)
+    compared(tmp_path / "tiles", tmp_path / "whole.tif", 100)
     before = rasters_of(tmp_path / "tiles")
     (tmp_path / "tiles" / run.parts[1]).unlink()
-    assert accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=100.0, **how).computed == 1
+    assert accuracy_map(tmp_path / "tiles", *given, tile=10, resolution=64.0, **how).computed == 1
     assert rasters_of(tmp_path / "tiles") == before
     with pytest.raises(ValueError, match="other cells"):
-        accuracy_map(tmp_path / "tiles", *given, tile=8, resolution=50.0, **how)
+        accuracy_map(tmp_path / "tiles", *given, tile=10, resolution=32.0, **how)
 
 
 def nadir_of(shot: Any) -> tuple[float, float]:

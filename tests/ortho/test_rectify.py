@@ -43,7 +43,7 @@ from jaxgeo.terrain.grid import AbstractGrid, surface_point
 LAT, LON = 47.0, 11.0
 CENTRE = Geodetic.from_degrees(lat=LAT, lon=LON, height=0.0)
 POSTS, SPACING = 49, 30.0  # m
-CELLS, CELL = (64, 64), 14.0  # m
+CELLS, CELL, COARSE = (32, 32), 14.0, 28.0  # m
 WIDTH, HEIGHT = 96, 72
 BATCH = 512
 PLAIN = FrameCamera.from_pixels(focal_px=100.0, width=WIDTH, height=HEIGHT)
@@ -79,7 +79,7 @@ def on_map(crs: Any, cell: tuple[float, float] = (CELL, CELL)) -> AbstractGrid:
     """Cells of a size in the CRS's unit about the same place."""
     crs = pyproj.CRS(crs)
     x, y = pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(LON, LAT)
-    affine = (cell[1], 0.0, x - 31.5 * cell[1], 0.0, -cell[0], y + 31.5 * cell[0])
+    affine = (cell[1], 0.0, x - 15.5 * cell[1], 0.0, -cell[0], y + 15.5 * cell[0])
     return make_grid("cells", file_map("cells", crs, affine, CELLS))[0]
 
 
@@ -122,15 +122,12 @@ class Seen(NamedTuple):
 
 
 def _projected(sensor: Sensor, shot: Any, point: Any, **how: Any) -> tuple[np.ndarray, np.ndarray]:
-    """In parts of BATCH, which the search of lines of sight compiles for in a third of the time."""
-
     def one(lat: Any, lon: Any, height: Any) -> Any:
         found = project(sensor, shot, Geodetic(lat=lat, lon=lon, height=height), **how)
         return found.uv, found.status
 
-    parts = [jax.vmap(one)(*(x[k : k + BATCH] for x in point)) for k in range(0, len(point[0]), BATCH)]
-    uv, status = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return uv, status
+    uv, status = jax.vmap(one)(*point)
+    return np.asarray(uv), np.asarray(status)
 
 
 @pytest.fixture(autouse=True)
@@ -212,7 +209,7 @@ LOOKS = {
 @pytest.mark.parametrize("name", LOOKS)
 def test_hidden_cells_are_those_that_a_search_of_every_line_of_sight_finds(name: str, seed: int) -> None:
     pitch, height, away, east, voids = LOOKS[name]
-    sensor, terrain, grid = sensor_of(PLAIN), ground(seed, voids=voids), cells_about(east, 100.0 * seed)
+    sensor, terrain, grid = sensor_of(PLAIN), ground(seed, voids=voids), cells_about(east, 100.0 * seed, COARSE)
     seen_from = shot(pitch, height, away)
     seen, found = expected(sensor, seen_from, terrain, grid), rectify(sensor, seen_from, PICTURES, terrain, grid, CELLS)
     np.testing.assert_array_equal(found.status[seen.sure], seen.status[seen.sure])
@@ -227,7 +224,7 @@ def test_slopes_prove_much_open_and_nothing_hidden_so(seeds: range) -> None:
     sensor, proven, hidden = sensor_of(PLAIN), [], 0
     for seed in seeds:
         pitch, voids = 30.0 + 40.0 * (seed % 6) / 5.0, seed % 4 == 3
-        terrain, grid = ground(seed, 100.0 + 50.0 * (seed % 5), voids), cells_about(40.0 * (seed % 7 - 3))
+        terrain, grid = ground(seed, 100.0 + 50.0 * (seed % 5), voids), cells_about(40.0 * (seed % 7 - 3), cell=COARSE)
         seen_from = shot(pitch, 1500.0 - 12.0 * pitch, 15.0 * pitch + 350.0)
         view = Rectifier(sensor, seen_from, PICTURES, None, terrain, grid).view
         cells = cells_one_by_one(view, jnp.zeros(2), CELLS)
@@ -245,17 +242,17 @@ def test_slopes_prove_much_open_and_nothing_hidden_so(seeds: range) -> None:
         np.testing.assert_array_equal(lifted.least_sine(np.zeros(2), np.ones(2)), least_sine)
     assert max(proven) > 0.2
     assert np.mean(proven) > 0.03
-    assert hidden > 30 * len(seeds)
+    assert hidden > 8 * len(seeds)
 
 
 def test_tiles_of_any_size_give_the_same() -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(2, voids=True), cells_about()
-    whole, parts = (rectify(sensor, shot(), PICTURES, terrain, grid, CELLS, tile=n) for n in (64, 32))
+    whole, parts = (rectify(sensor, shot(), PICTURES, terrain, grid, CELLS, tile=n) for n in (32, 16))
     np.testing.assert_array_equal(whole.status, parts.status)
     np.testing.assert_allclose(whole.orthoimage.values, parts.orthoimage.values, rtol=0, atol=1e-7)
-    cut = rectify(sensor, shot(), PICTURES, terrain, grid, (40, 50), tile=32)
-    np.testing.assert_array_equal(cut.status, whole.status[:40, :50])
-    np.testing.assert_array_equal(cut.orthoimage.values, parts.orthoimage.values[:, :40, :50])
+    cut = rectify(sensor, shot(), PICTURES, terrain, grid, (20, 25), tile=16)
+    np.testing.assert_array_equal(cut.status, whole.status[:20, :25])
+    np.testing.assert_array_equal(cut.orthoimage.values, parts.orthoimage.values[:, :20, :25])
 
 
 @pytest.mark.slow
@@ -282,7 +279,7 @@ SMOOTH = [(Bilinear(), 0.25), (Cubic(), 0.03)]  # of the picture's second and th
 def test_a_smooth_picture_comes_back(how: Any, atol: float) -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(), cells_about()
     found = rectify(sensor, shot(), picture(*PICTURES), terrain, grid, CELLS, interpolation=how)
-    u, v = np.moveaxis(expected(sensor, shot(), terrain, grid).uv, -1, 0)
+    u, v = np.moveaxis(expected(sensor, shot(), terrain, grid, mask=False).uv, -1, 0)
     inner = found.orthoimage.known & (u > 1) & (v > 1) & (u < WIDTH - 2) & (v < HEIGHT - 2)
     np.testing.assert_allclose(found.orthoimage.values[0][inner], picture(u, v)[inner], rtol=0, atol=atol)
 
@@ -290,7 +287,7 @@ def test_a_smooth_picture_comes_back(how: Any, atol: float) -> None:
 def test_cubic_keeps_quadratics_and_nearest_classes() -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(), cells_about()
     u, v = PICTURES
-    where = np.moveaxis(expected(sensor, shot(), terrain, grid).uv, -1, 0)
+    where = np.moveaxis(expected(sensor, shot(), terrain, grid, mask=False).uv, -1, 0)
     quadratic = [3.0 + 0.2 * x - 0.1 * y + 0.01 * x * y - 0.02 * x * x + 0.03 * y * y for x, y in ((u, v), where)]
     found = rectify(sensor, shot(), quadratic[0], terrain, grid, CELLS, interpolation=Cubic()).orthoimage
     inner = found.known & np.all((where > 1.0) & (where < np.array([WIDTH, HEIGHT])[:, None, None] - 2.0), axis=0)
@@ -308,7 +305,7 @@ def test_what_the_image_does_not_know_the_map_does_not() -> None:
     known = np.ones((HEIGHT, WIDTH), bool)
     known[30:40, 40:60] = False
     holed = np.where(known, PICTURES, np.nan)
-    u, v = np.moveaxis(expected(sensor, shot(), terrain, grid).uv, -1, 0)
+    u, v = np.moveaxis(expected(sensor, shot(), terrain, grid, mask=False).uv, -1, 0)
     touched = (u > 39.0) & (u < 60.0) & (v > 29.0) & (v < 40.0)
     for found in (
         rectify(sensor, shot(), PICTURES, terrain, grid, CELLS, known=known),
@@ -316,7 +313,7 @@ def test_what_the_image_does_not_know_the_map_does_not() -> None:
     ):
         shown = found.status == Status.hit
         np.testing.assert_array_equal(found.orthoimage.known, shown & ~touched)
-        assert np.sum(shown & touched) > 50
+        assert np.sum(shown & touched) > 12
         assert np.all(np.isfinite(found.orthoimage.values))
 
 

@@ -31,7 +31,7 @@ def one() -> Accuracy:
 @pytest.fixture(scope="module")
 def many() -> Accuracy:
     sensor, shot, _, terrain, errors = SCENE
-    return accuracy(sensor, shot, PIXELS, terrain, errors, block=1)
+    return accuracy(sensor, shot, PIXELS, terrain, errors, block=4)
 
 
 def test_every_field_of_one_fix_is_an_array(one: Accuracy) -> None:
@@ -74,6 +74,7 @@ def test_many_pixels_have_the_shape_of_the_pixels(one: Accuracy, many: Accuracy)
         _ = many.because
 
 
+@pytest.mark.slow
 def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(many: Accuracy) -> None:
     sensor, shot, _, terrain, errors = SCENE
 
@@ -97,6 +98,21 @@ def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(many: Acc
     none = radii(looks.level_shot(120.0), PIXELS)[0][1]
     assert np.all(none.method == NO_FIX)
     assert str(none[0, 0]).startswith("No fix")
+
+
+def test_without_samples_one_fix_is_a_function_for_jit_vmap_and_derivatives(one: Accuracy) -> None:
+    sensor, shot, uv, terrain, errors = SCENE
+    along = np.array([1.0, 0.0])  # px
+
+    def radius(uv):
+        return accuracy(sensor, shot, uv, terrain, errors, sampling=None).circular
+
+    value_and_slope = jax.jit(lambda uv: jax.jvp(radius, (uv,), (along,)))
+    value, slope = value_and_slope(np.array(uv))
+    assert float(value) == pytest.approx(float(one.circular), rel=1e-9)
+    ahead, behind = (value_and_slope(np.array(uv) + step)[0] for step in (along, -along))
+    assert float(slope) == pytest.approx(float(ahead - behind) / 2.0, rel=1e-3)
+    assert jax.eval_shape(jax.vmap(radius), PIXELS[0]).shape == (2,)
 
 
 @pytest.mark.slow
@@ -141,9 +157,9 @@ def test_a_fix_that_is_missing_is_raised_for_one_and_told_of_many() -> None:
     away = looks.level_shot(120.0)
     with pytest.raises(ValueError, match="cannot estimate accuracy, there is no fix"):
         accuracy(sensor, away, UV, terrain, errors)
-    found = accuracy(sensor, away, [UV], terrain, errors, block=1)
-    assert int(found.method[0]) == NO_FIX
-    assert np.isnan(found.circular[0])
+    found = accuracy(sensor, away, [UV] * 4, terrain, errors, block=4)
+    assert np.all(found.method == NO_FIX)
+    assert np.all(np.isnan(found.circular))
 
 
 # Old names, for one release.
@@ -167,7 +183,7 @@ def test_old_functions_warn_and_give_the_record(one: Accuracy, many: Accuracy) -
     with pytest.warns(DeprecationWarning, match=r"assess is now jaxgeo.uncertainty.accuracy\(\.\.\., sampling=None\)"):
         found = [uncertainty.assess(*SCENE)]
     with pytest.warns(DeprecationWarning, match="accuracy_of_pixels is now"):
-        found.append(uncertainty.accuracy_of_pixels(sensor, shot, PIXELS, terrain, errors, block=1, count=0)[0, 0])
+        found.append(uncertainty.accuracy_of_pixels(sensor, shot, PIXELS, terrain, errors, block=4, count=0)[0, 0])
     for each in found:
         assert isinstance(each, Accuracy)
         assert each.shape == ()

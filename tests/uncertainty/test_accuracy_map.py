@@ -49,7 +49,7 @@ def at(position: Geodetic, place) -> Geodetic:
 @pytest.fixture(scope="module")
 def level():
     """Level ground, the image over a part of it."""
-    return accuracy_map(LEVEL_SENSOR, LEVEL_SHOT, LEVEL, LEVEL_MODEL, positions(), block=8)
+    return accuracy_map(LEVEL_SENSOR, LEVEL_SHOT, LEVEL, LEVEL_MODEL, positions(), block=4)
 
 
 def test_a_map_keeps_its_figures_by_name(level) -> None:
@@ -86,7 +86,7 @@ def test_what_lies_beside_the_image_has_no_figures(level) -> None:
 
 def test_pixels_have_the_figures_of_their_ground(level) -> None:
     uv = np.where(np.asarray(level.has_fix)[..., None], level.uv, -100.0)
-    pixels = accuracy(LEVEL_SENSOR, LEVEL_SHOT, uv, LEVEL, LEVEL_MODEL, block=1)
+    pixels = accuracy(LEVEL_SENSOR, LEVEL_SHOT, uv, LEVEL, LEVEL_MODEL, block=4)
     for name in (*FIGURES, "method"):
         np.testing.assert_allclose(getattr(pixels, name), getattr(level, name), rtol=1e-9)
     np.testing.assert_array_equal(pixels.fix.status, level.status)
@@ -95,7 +95,7 @@ def test_pixels_have_the_figures_of_their_ground(level) -> None:
 
 @pytest.mark.slow
 def test_the_size_of_blocks_does_not_matter(level) -> None:
-    other = accuracy_map(LEVEL_SENSOR, LEVEL_SHOT, LEVEL, LEVEL_MODEL, positions(), block=4)
+    other = accuracy_map(LEVEL_SENSOR, LEVEL_SHOT, LEVEL, LEVEL_MODEL, positions(), block=1)
     for one, another in zip(jax.tree.leaves(level), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(another, one, rtol=1e-9)
 

@@ -122,7 +122,7 @@ def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
         error = model.factor() @ Random().standard_normal(KEY, number, model.size)
         return model.fix_offset(look, aim, error, FirstHit())
 
-    misses, statuses = jax.vmap(miss, in_axes=(None, None, 0))(look, aim, np.arange(96))
+    misses, statuses = (np.stack(x) for x in zip(*(miss(look, aim, number) for number in np.arange(96)), strict=True))
     np.testing.assert_array_equal(statuses, drawn.codes)
     found = np.asarray(statuses) == Status.hit
     assert np.mean(found) > 0.5
