@@ -6,12 +6,14 @@ import contextlib
 import csv
 import json
 import pathlib
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
+from support.command_files import FILES
 from support.drone_image_files import packet, write_image
 from test_cli_folders import DJI, GROUND, READ, cut, image, run
 
@@ -141,6 +143,7 @@ def test_orthophotos_of_a_folder(survey: pathlib.Path, by_threads) -> None:
     assert alone.exit_code == 0, alone.output
     assert "alone: 3 orthophotos of 4 images" in alone.stdout
     assert "not read: " in alone.stderr
+    assert "mosaic.vrt" in alone.stdout
     files = sorted(path.name for path in pathlib.Path("alone").glob("frame-*.tif"))
     assert files == ["frame-00000.tif", "frame-00001.tif", "frame-00003.tif"]
     for name in files:
@@ -193,11 +196,37 @@ def test_images_of_a_file_of_poses(survey: pathlib.Path, asked: list[Any]) -> No
     ((files, _, how),) = asked
     assert files == [survey / name for name in ("a.jpg", "b.jpg", "c.jpg")]
     assert how["client"] is None
+    shutil.copytree(survey, "others")
+    pathlib.Path("others/c.jpg").rename("others/c.tif")  # another ending than in the file
+    pathlib.Path("others/a.DNG").write_bytes(b"raw")  # no image that may be meant
+    run("rectify", "reconstruction.json", "--images", "others", *ORTHOS, "-o", "orthos")
+    assert [path.name for path in asked[-1][0]] == ["a.jpg", "b.jpg", "c.tif"]
+    shutil.copy("others/a.jpg", "others/a.png")
+    either = run("rectify", "reconstruction.json", "--images", "others", *ORTHOS, "-o", "orthos")
+    assert either.exit_code == 2
+    assert "--images others: a may be a.jpg, a.png; leave one of them in the folder." in " ".join(either.stderr.split())
     without = run("rectify", "reconstruction.json", *ORTHOS, "-o", "other.tif")
     assert without.exit_code == 2
     assert "exposure a is no image among the given files; name the folder of the images with --images FOLDER." in (
         " ".join(without.stderr.split())
     )
+
+
+def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.Path) -> None:
+    """Here none has one: two see no ground, and one is damaged."""
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": "EPSG:4326", "width": 4, "height": 4}
+    with rasterio.open("far.tif", "w", transform=rasterio.transform.from_bounds(0, 0, 1, 1, 4, 4), **profile) as file:
+        file.write(np.zeros((1, 4, 4), np.float32))
+    far = ("--dem", "far.tif", "--vertical-datum", "ellipsoid", *READ)
+    without = run("rectify", survey, *far, "--resolution", "2", "-o", "orthos")
+    assert without.exit_code == 2
+    assert "no frame sees ground that tells --crs; name it" in " ".join(without.stderr.split())
+    done = run("rectify", survey, *far, "--resolution", "2", "--crs", "EPSG:32616", "-o", "orthos")
+    assert done.exit_code == 1
+    said = " ".join(done.stderr.split())
+    assert f"{survey / 'a.jpg'}: " in said
+    assert "no line of sight of the image comes near the ground" in said
+    assert "orthos: 0 orthophotos of 4 images (frame-*.tif), collection.json" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -211,12 +240,22 @@ def test_images_of_a_file_of_poses(survey: pathlib.Path, asked: list[Any]) -> No
         (["a.jpg", "b.jpg", "--like", "a.tif"], "--like is for one image; of several, each has its own."),
         (["a.jpg", "b.jpg", "--crs", "EPSG:32616", "--bounds", "1,2,3,4"], "--bounds is for one image"),
         (["a.jpg", "--resume"], "--resume completes a folder of parts"),
+        (["a.jpg", "b.jpg", "--band", "7", *READ], "--band 7: a.jpg has bands 1 to 3."),
+        (["a.jpg", "--images", ".", *READ], "--images . is for a file of poses; a.jpg is of images"),
+        (["mission.sbet", "--images", ".", *READ], "mission.sbet: a SBET names no images. Give drone images, or a rec"),
+        (["flight.klv", *READ], "flight.klv: a MISB ST 0601 telemetry names no images."),
+        (["opk.csv", "--images", ".", *READ, "--source-crs", "EPSG:32616"], "no camera; give --camera focal=8.8mm"),
+        (["a.jpg", "b.jpg", *READ, "--resolution", "0"], "--resolution must be positive"),
+        (["a.jpg", "b.jpg", *READ, "-o", "all.tif"], "--output all.tif: the result has several files; name a folder"),
         (["a.jpg", "b.jpg", "--dem-bounds", "1,2,3,4", *READ], "--dem-bounds: of many images only the ground in sight"),
     ],
 )
-def test_options_of_orthophotos_that_contradict_each_other(survey: pathlib.Path, monkeypatch, more, words: str) -> None:
-    monkeypatch.chdir(survey)
-    done = run("rectify", *more, "--dem", "dem.tif", "-o", "orthos")
+def test_options_of_orthophotos_that_contradict_each_other(survey: pathlib.Path, more, words: str) -> None:
+    for name in ("a.jpg", "b.jpg"):
+        shutil.copy(survey / name, name)
+    for name in ("mission.sbet", "flight.klv", "opk.csv"):
+        FILES[name](pathlib.Path(name))
+    done = run("rectify", "--dem", "dem.tif", "--vertical-datum", "ellipsoid", "-o", "orthos", *more)
     assert done.exit_code == 2
     assert words in " ".join(done.stderr.split())
     assert not pathlib.Path("orthos").exists()
@@ -233,8 +272,11 @@ def test_a_map_in_tiles_is_that_of_one_file(survey: pathlib.Path, by_threads, mo
     told = json.loads(many.stdout)
     assert told["cells_by_status"] == json.loads(one.stdout)["cells_by_status"]
     assert told["cells_by_status"]["hit"] > 20
+    assert told["cells_with_accuracy"] == json.loads(one.stdout)["cells_with_accuracy"]
+    assert told["inputs"]["dem"] == ["dem.tif"]
     with rasterio.open("one.tif") as single, rasterio.open("many/mosaic.vrt") as mosaic:
         np.testing.assert_allclose(mosaic.read(1), single.read(1), rtol=1e-5)
+        assert told["cells_with_accuracy"] == np.isfinite(single.read([1, 2])).all(axis=0).sum()
 
 
 def test_a_map_is_of_one_exposure(survey: pathlib.Path) -> None:

@@ -15,6 +15,7 @@ from jaxgeo.cli._options import OptionGroup
 from jaxgeo.cli._screen import print_message, stderr
 
 MOST_TOLD = 5  # failed parts that are printed
+FILES = (".tif", ".tiff", ".vrt", ".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz", ".json")  # no folders
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -75,13 +76,15 @@ class PartsOptions(ClusterOptions):
     def check_parts(self, in_parts: bool, **others: bool) -> None:
         """Raises `UserError` as `check`, and for --resume of a result that is not `in_parts`."""
         if self.resume and not in_parts:
-            raise UserError("--resume completes a folder of parts, which --cluster writes; leave it out.")
+            raise UserError("--resume completes a folder of parts, and this result is one file; leave it out.")
         self.check(**others)
 
     def check_folder(self, output: pathlib.Path | None) -> pathlib.Path:
         """The folder of the parts. Raises `UserError` without one, or if it is not empty and not to be resumed."""
         if output is None:
             raise UserError("--cluster needs --output FOLDER, for the parts of the result.")
+        if output.suffix.lower() in FILES and not output.is_dir():
+            raise UserError(f"--output {output}: the result has several files; name a folder for them.")
         check_writable(output)
         if not self.resume and output.exists() and any(output.iterdir()):
             raise UserError(

@@ -137,3 +137,22 @@ def translate_reader_errors() -> Iterator[None]:
         if not is_refusal(error):
             raise
         raise UserError(reason_of(error)) from error
+
+
+_CELLS = re.compile(r"\b(crs|bounds|resolution|like|bands)=(?:\.\.\.)?")
+
+
+@contextlib.contextmanager
+def translate_cell_errors(*, several: bool = False) -> Iterator[None]:
+    """Raise errors about the cells of a raster as `UserError` with command-line options; `several` images have no
+    bounds."""
+    try:
+        yield
+    except ValueError as error:
+        text = str(error)
+        if not is_refusal(error) or not (_CELLS.search(text) or "resolution must be" in text):
+            raise
+        if several:
+            text = text.replace(", or a part with bounds=", "")
+        text = _CELLS.sub(lambda found: "--band" if found[1] == "bands" else f"--{found[1]}", text)
+        raise UserError(re.sub(r"(^|: )resolution must be", r"\1--resolution must be", text)) from error

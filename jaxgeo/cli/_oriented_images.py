@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Any
 
 import jaxgeo
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
-from jaxgeo.cli._locate_inputs import REPLACED
 from jaxgeo.cli._option_names import as_typed
 from jaxgeo.cli._screen import print_message
 from jaxgeo.observation import Exposure
 
 if TYPE_CHECKING:
     from jaxgeo.io import Observations
+
+ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
+NO_IMAGES = ("MISB", "subtitle", "flight log", "SBET", "scene")  # kinds of files that name no images
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +48,7 @@ class OrientedImages:
         if self.scene is None:
             if self.folder is not None and not self.folder.is_dir():
                 raise UserError(f"--images {self.folder}: there is no such folder.")
+            self._check_kinds()
             return
         if len(self.files) > 1 or self.files[0].is_dir():
             shown = self.files[0] if len(self.files) == 1 else f"{self.files[0]} and {len(self.files) - 1} more"
@@ -57,6 +61,22 @@ class OrientedImages:
         for name in given:
             option = "source-crs" if name == "crs" else name.replace("_", "-")
             raise UserError(f"--{option} is for images that state their own poses; leave it out with --scene.")
+
+    def _check_kinds(self) -> None:
+        """Raises `UserError` for files that name no images, and for images beside --images."""
+        from jaxgeo.io.acquisitions.detect import DRONE_IMAGES
+
+        for file in self.files:
+            form = _form(file)
+            if form is not None and form.name.startswith(NO_IMAGES):
+                raise UserError(
+                    f"{file}: a {form.name} names no images. Give drone images, or a reconstruction or table of "
+                    f"orientations with --images FOLDER."
+                )
+            if self.folder is not None and (file.is_dir() or form is DRONE_IMAGES):
+                raise UserError(
+                    f"--images {self.folder} is for a file of poses; {file} is of images, which state their own."
+                )
 
     def one(self) -> tuple[pathlib.Path, Exposure]:
         """(file, exposure) of the only image. Raises `UserError`, and as the readers."""
@@ -77,10 +97,13 @@ class OrientedImages:
         """
         from jaxgeo.io import read_observations
 
-        with reading_files(self.files) as progress:
-            observed = read_observations(self.files, progress=progress, **self.reading.arguments)
+        try:
+            with reading_files(self.files) as progress:
+                observed = read_observations(self.files, progress=progress, **self.reading.arguments)
+        except UserError as error:  # here a scene is not for a file without a camera
+            raise UserError(re.sub(r"--scene SCENE\.toml(, or )?", "", f"{error}")) from error
         for one in map(as_typed, observed.assumed):
-            if not any(words in one for words in REPLACED):  # on errors, which orthoimages do not have
+            if "error" not in one and "sigma" not in one:  # which orthoimages do not have
                 print_message(f"assumed: {one}")
         print_unread(observed.unread.values())
         return observed, self._files_of(observed)
@@ -91,9 +114,11 @@ class OrientedImages:
 
         names = [str(row.get("name")) for row in observed.columns]
         if self.folder is not None:
-            by_stem = {one.stem: one for one in sorted(self.folder.iterdir(), reverse=True)}
-            known = [self.folder / name for name in names]
-            return [one if one.exists() else by_stem.get(one.name, one) for one in known]
+            by_stem: dict[str, list[pathlib.Path]] = {}
+            for path in sorted(self.folder.iterdir()):
+                if path.suffix.lower() in ENDINGS:
+                    by_stem.setdefault(path.stem, []).append(path)
+            return [self._named(name, by_stem) for name in names]
         each = [pathlib.Path(one) for one in files_of(self.files)[0]]
         by_name = {one.name: one for one in each} | {f"{one}": one for one in each}
         unknown = next((name for name in names if name not in by_name), None)
@@ -103,3 +128,23 @@ class OrientedImages:
                 f"images with --images FOLDER."
             )
         return [by_name[name] for name in names]
+
+    def _named(self, name: str, by_stem: dict[str, list[pathlib.Path]]) -> pathlib.Path:
+        """The image of a name, which may have another ending or none. Raises `UserError` for several."""
+        assert self.folder is not None
+        exact = self.folder / name
+        found = [exact] if exact.is_file() else by_stem.get(exact.name, by_stem.get(exact.stem, []))
+        if len(found) > 1:
+            shown = ", ".join(one.name for one in found)
+            raise UserError(f"--images {self.folder}: {name} may be {shown}; leave one of them in the folder.")
+        return found[0] if found else exact
+
+
+def _form(file: pathlib.Path) -> Any:
+    from jaxgeo.io.acquisitions.detect import form_of
+    from jaxgeo.io.errors import TableError
+
+    try:
+        return None if file.is_dir() else form_of(file)
+    except (TableError, OSError):
+        return None

@@ -20,12 +20,13 @@ from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import numbers_in
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
+from jaxgeo.cli._option_names import translate_cell_errors
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts, print_message
 from jaxgeo.status import Status
 
-KNOWN = "Its accuracy is known."
+SEEN_CELL = "The image shows it; its accuracy is unknown where samples are needed and none are drawn."
 SAMPLES = 2000  # of a cell
 
 
@@ -143,19 +144,23 @@ def accuracy_map_command(
         told, assumed = _computed(options, output, how, samples, cells.cog, many)
         told |= {"seconds": time.perf_counter() - began}
         if as_json:
-            print_json("accuracy-map", {"inputs": given, "assumed": assumed, **told})
+            print_json("accuracy-map", {"inputs": given | options.inputs, "assumed": assumed, **told})
         else:
-            place = told.get("folder", told.get("file"))
-            total = sum(told["cells_by_status"].values())
-            parts = f" in {len(told['parts'])} tiles" if "parts" in told else ""
-            line = f"{place}: {total} cells{parts}, {told['seconds']:.1f} s"
-            if told.get("median_circular_m") is not None:
-                line += f"; CE{100.0 * probability:g} {told['median_circular_m']:.3g} m in the median"
-            Console(soft_wrap=True).print(line, highlight=False, markup=False)
-        print_counts(told["cells_by_status"], sum(told["cells_by_status"].values()), "cell", KNOWN)
-        if Status.hit.name not in told["cells_by_status"]:
+            Console(soft_wrap=True).print(_summary(told, probability), highlight=False, markup=False)
+        print_counts(told["cells_by_status"], sum(told["cells_by_status"].values()), "cell", SEEN_CELL)
+        if not told["cells_with_accuracy"]:
             print_message("no cell has an accuracy.")
             raise typer.Exit(NO_ANSWER)
+
+
+def _summary(told: dict[str, Any], probability: float) -> str:
+    """The result in a line."""
+    total, parts = sum(told["cells_by_status"].values()), len(told.get("parts", ()))
+    tiles = f" in {parts} tile{'s' if parts != 1 else ''}" if parts else ""
+    line = f"{told.get('folder', told.get('file'))}: {total} cells{tiles}, {told['cells_with_accuracy']} with accuracy"
+    if told.get("median_circular_m") is not None:
+        line += f", CE{100.0 * probability:g} {told['median_circular_m']:.3g} m in the median"
+    return f"{line}; {told['seconds']:.1f} s"
 
 
 def _computed(
@@ -179,7 +184,7 @@ def _computed(
     exposure = observation.exposure
     terrain: Any = inputs.grounds if on_cluster and options.ground.level is None else inputs.grounds[0]
     view = exposure.sensor, exposure.motion, terrain, errors
-    with bars_on_stderr() as is_shown:
+    with bars_on_stderr() as is_shown, translate_cell_errors():
         how |= {"sampling": Sampling(count=samples, progress=is_shown and not on_cluster)}
         how |= {"atmosphere": exposure.atmosphere}
         if not on_cluster:
@@ -187,15 +192,19 @@ def _computed(
 
             found = write_accuracy_map(output, *view, cog=cog, **how)
             counts = Counter(Status(int(code)).name for code in np.asarray(found.status).ravel())
-            radii = np.asarray(found.circular)[np.asarray(found.has_fix)]
-            median = float(np.median(radii)) if radii.size else None
-            return {"file": f"{output}", "cells_by_status": dict(counts), "median_circular_m": median}, inputs.assumed
+            figures = np.stack([np.asarray(found.circular), np.asarray(found.linear)])
+            radii = figures[0][np.isfinite(figures).all(axis=0)]
+            told = {"file": f"{output}", "cells_by_status": dict(counts), "cells_with_accuracy": radii.size}
+            return told | {"median_circular_m": float(np.median(radii)) if radii.size else None}, inputs.assumed
         from jaxgeo.cluster import accuracy_map, statuses_of
+        from jaxgeo.cluster.catalogue import KNOWN, read_json
 
         with many.connected() as client, report_failed_parts():
             run = accuracy_map(output, *view, client=client, progress=many.shows_progress, **how)
         print_missing(run)
         told = {"folder": f"{output}", "parts": list(run.parts), "computed": run.computed}
+        items = [read_json((run.folder / name).with_suffix(".json"))["properties"] for name in run.parts]
+        told |= {"cells_with_accuracy": sum(one[KNOWN] for one in items)}
         return told | {"cells_by_status": statuses_of(run)}, inputs.assumed
 
 

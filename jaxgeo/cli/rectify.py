@@ -17,7 +17,7 @@ from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import numbers_in, read_terrain, terrain_files
-from jaxgeo.cli._option_names import translate_reach_errors
+from jaxgeo.cli._option_names import translate_cell_errors, translate_reach_errors
 from jaxgeo.cli._options import WRITING, DemFiles, DemOptions, DemOptionsBesideBand, OptionGroup
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._rectify_many import rectify_several
@@ -201,7 +201,7 @@ def _rectify(
     file, exposure = given.one()
     terrain = read_terrain(dem, reading)
     began = time.perf_counter()
-    with bars_on_stderr() as is_shown, translate_reach_errors():
+    with bars_on_stderr() as is_shown, translate_cell_errors(), translate_reach_errors():
         done = rectify_file(
             output,
             file,

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
@@ -87,7 +88,15 @@ def li2023_command(
             if kept is not None:
                 kept.mkdir(parents=True, exist_ok=True)
             with many.connected() as client:
-                return li2023.run(samples=samples, seed=seed, executor=client, folder=kept)
+                try:
+                    return li2023.run(samples=samples, seed=seed, executor=client, folder=kept)
+                except ValueError as error:
+                    if not is_refusal(error) or "another sweep" not in str(error):
+                        raise
+                    raise UserError(
+                        f"--output {output}: {kept} holds a run with other --samples or --seed, or by another version; "
+                        f"name another folder, or remove it."
+                    ) from error
 
         _show(li2023, run, output, inputs if as_json else None)
 

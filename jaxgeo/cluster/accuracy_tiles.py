@@ -19,6 +19,7 @@ from jaxgeo._digest import digest_of
 from jaxgeo._parallel import Work
 from jaxgeo.cluster.catalogue import (
     CELLS,
+    KNOWN,
     check_catalogue,
     compute_and_list,
     mosaic_file,
@@ -166,7 +167,7 @@ def _map_tile(setting: Setting, item: tuple[str, MapRaster]) -> dict[str, int]:
         found = map_in_memory(ground, *view, setting.ground, setting.errors, setting.options)
     counts = Counter(Status(int(code)).name for code in found.bands[3])
     bands = Bands(4, "float32", float("nan"), band_names(found.probability), UNITS)
-    told = {CELLS: dict(counts)}
+    told = {CELLS: dict(counts), KNOWN: int(np.isfinite(found.bands[:2]).all(axis=0).sum())}
     item_path = path.with_suffix(".json")
     write_item(item_path, {"accuracy": (name, bands)}, raster, told, setting.taken, cog=setting.cog)
     write_bands(path, found.bands.reshape(4, *raster.shape), raster, found.probability, found.tags, setting.cog)

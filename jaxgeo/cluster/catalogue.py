@@ -20,7 +20,7 @@ from jaxgeo.io.map_raster import MapRaster, outline_of, raster_with
 from jaxgeo.io.vrt_writer import Bands, MosaicFile, write_vrt
 
 COLLECTION, ITEMS, MOSAIC = "collection.json", "items.json", "mosaic"
-STATUS, CELLS = "jaxgeo:status", "jaxgeo:cells_by_status"  # properties of items
+STATUS, CELLS, KNOWN = "jaxgeo:status", "jaxgeo:cells_by_status", "jaxgeo:cells_with_accuracy"  # properties of items
 # A time that is not known lies between these; STAC has no word for it, and some readers no earlier time.
 EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC) for year in (1900, 2100))
 EXTENSIONS = (
@@ -121,7 +121,7 @@ def write_catalogue(folder: pathlib.Path, items: Sequence[str], description: str
     times = sorted(_times(each))
     extent = pystac.Extent(
         pystac.SpatialExtent([_around(boxes)]),
-        pystac.TemporalExtent([[times[0], times[-1]]] if times else [[None, None]]),
+        pystac.TemporalExtent([[times[0], times[-1]] if times else [EARLIEST, LATEST]]),
     )
     collection = pystac.Collection(folder.name, description, extent)
     collection.add_link(pystac.Link("root", f"./{COLLECTION}", "application/json"))

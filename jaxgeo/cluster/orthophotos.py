@@ -205,7 +205,8 @@ def _cells_of(
         except (NothingSeen, WindowTooLarge) as error:
             reason = reason or error
     assert reason is not None
-    raise NothingSeen(f"no frame sees ground that tells crs and resolution; name both. The first: {reason}") from reason
+    missing = " and ".join(f"{name}=" for name, value in (("crs", crs), ("resolution", resolution)) if value is None)
+    raise NothingSeen(f"no frame sees ground that tells {missing}; name it. The first: {reason}") from reason
 
 
 def _identity(setting: Setting) -> dict[str, str]:
@@ -256,6 +257,7 @@ def _rectify_frame(setting: Setting, item: tuple[str, int]) -> dict[str, int]:
     image, cog = setting.images[row], bool(setting.options["cog"])
     path = setting.folder / name
     told: dict[str, Any] = {IMAGE: image, STAMP: _stamp(image)}
+    told |= {} if image is None else {"title": pathlib.Path(image).name}
     assets: dict[str, tuple[str, Bands]] = {}
     raster, status = None, Status.hit
     try:
