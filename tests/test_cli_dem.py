@@ -31,6 +31,7 @@ LINES = {
     "point": f"{SCENE} --target 36.27,-84.268",
     "overlap": f"{SCENE} --shots shots.csv",
     "plan": f"{SCENE} --navigation flight.csv --overlap 0.5 -o out.csv",
+    "accuracy-map": f"{SCENE} --resolution 100 -o out.tif",
     "rectify": f"image.tif {SCENE} -o out.tif",
     "register": f"image.tif {SCENE} --reference ortho.tif --position-sigma 20 --attitude-sigma 0.3 -o out",
     "study gu2017": f"{SCENE} --image image.tif --reference ortho.tif",

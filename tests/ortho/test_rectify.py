@@ -34,7 +34,7 @@ from jaxgeo.io.mapping import file_map
 from jaxgeo.ortho.cells import cells_one_by_one, may_be_hidden
 from jaxgeo.ortho.interpolation import Bilinear, Cubic, Nearest
 from jaxgeo.ortho.orthoimage import Orthoimage
-from jaxgeo.ortho.rectification import Rectifier, rectify
+from jaxgeo.ortho.rectification import STRIP, Rectifier, rectify
 from jaxgeo.ortho.visibility_bounds import OpenSight
 from jaxgeo.sensor import BrownConrady
 from jaxgeo.terrain import ConstantField, FittedGrid, GeographicGrid, TangentGrid, TransverseMercatorGrid
@@ -433,12 +433,15 @@ def test_orthoimages_that_cannot_be() -> None:
 @pytest.mark.parametrize("mask_hidden", [False, True])
 def test_cells_beside_the_terrain_are_never_filled(mask_hidden: bool) -> None:
     """Also where a whole block, as cells are filled together, has no ground."""
-    terrain, grid = ground(), cells_about(north=1050.0)
-    found = rectify(sensor_of(PLAIN), shot(), PICTURES, terrain, grid, CELLS, mask_hidden=mask_hidden)
-    status = np.asarray(_places(grid, terrain)[1]).reshape(CELLS)
-    beside = status == Status.leaves_terrain
-    assert beside[:32].all()
-    assert not beside[32:].all()
+    shape, terrain = (2 * STRIP, 2 * STRIP), ground()
+    middle = Geodetic.from_degrees(lat=LAT + np.rad2deg(1050.0 / 6.37e6), lon=LON, height=0.0)
+    grid = TangentGrid.centred(middle, spacing=(14.0, 14.0), shape=shape, heading=0.3)
+    found = rectify(sensor_of(PLAIN), shot(), PICTURES, terrain, grid, shape, mask_hidden=mask_hidden)
+    rowcol = jnp.asarray(np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1, dtype=float))
+    place = np.asarray(jax.jit(jax.vmap(jax.vmap(lambda at: terrain.grid.rowcol(grid.normal(at)))))(rowcol))
+    beside = np.any((place < -1e-3) | (place > POSTS - 1 + 1e-3), axis=-1)
+    assert beside[:STRIP].all()
+    assert not beside[STRIP:].all()
     assert np.all(found.status[beside] == Status.leaves_terrain)
     assert not found.orthoimage.known[beside].any()
     assert np.any(found.status == Status.hit)
