@@ -69,7 +69,7 @@ STATIC_NUMPY = {
     ("jaxgeo/uncertainty/radii.py", "_at_hand"): "leaves traced values as they are",
     **{
         ("jaxgeo/uncertainty/metrics/_host.py", name): "is for known values; `host_radii` returns None for traced ones"
-        for name in ("host_radii", "_unit_radius", "_in_ball", "_erfc")
+        for name in ("host_radii", "_unit_radius", "_in_ball")
     },
 }
 

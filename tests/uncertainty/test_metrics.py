@@ -362,3 +362,12 @@ def test_an_error_ellipse_prints_its_numbers() -> None:
     assert str(m.error_ellipse(np.diag([9.0, 1.0]))) == "semi-axes 3 and 1 m, the longer at 90 deg clockwise from north"
     several = str(m.error_ellipse(np.stack([np.diag([9.0, 1.0]), np.diag([1.0, 4.0])])))
     assert several == "semi-axes [3 2] and [1 1] m, the longer at [90 0] deg clockwise from north"
+
+
+def test_radii_are_the_same_bits_whatever_was_computed_before() -> None:
+    """As results of several processes are compared; the figures of few fixes are computed in NumPy."""
+    random = np.random.default_rng(5)
+    roots = random.normal(size=(100, 3, 3))
+    each = [(root @ root.T, mean) for root, mean in zip(roots, random.normal(size=(100, 3)), strict=True)]
+    first = [float(m.spherical_error(cov, 0.5, mean)) for cov, mean in each]
+    assert [float(m.spherical_error(cov, 0.5, mean)) for cov, mean in each] == first

@@ -5,7 +5,6 @@ Agrees with `_radius` to about 1e-12 of the radius (1e-10 for a sphere).
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
@@ -19,7 +18,6 @@ from jaxgeo.uncertainty.metrics._ball import FAR, FARTHEST, MID_NODES, OUTER_NOD
 from jaxgeo.uncertainty.metrics._radius import CLOSE, HIGHEST, MOST_STEPS, ROUNDING
 
 MOST = 64  # radii; more are computed by a program
-FEW = 200  # calls of a slower function that take less time than importing scipy.special
 
 
 def host_radii(cov: Any, probability: Any, mean: Any) -> np.ndarray | None:
@@ -107,18 +105,10 @@ def _in_ball(radius: np.ndarray, mean: Sequence[Any], sigma: Sequence[float]) ->
     if not inner:
         scale, side = sigma[0] * math.sqrt(2.0), np.where(middle < 0.0, -1.0, 1.0)
         near, far = ((side * middle + to_end) / scale for to_end in (-radius, radius))
-        return np.asarray(0.5 * (_erfc(near) - _erfc(far)))
+        return np.asarray(0.5 * (scipy.special.erfc(near) - scipy.special.erfc(far)))
     angle, share = _rule(len(inner))
     chord, weight = _chords(radius[..., None], middle, sigma[-1], angle)
     return np.asarray(np.sum(share * weight * _in_ball(chord, inner, sigma[:-1]), axis=-1))
-
-
-_calls = itertools.count()
-_slow_erfc = np.frompyfunc(math.erfc, 1, 1)
-
-
-def _erfc(x: Any) -> np.ndarray:
-    return np.asarray((_slow_erfc if next(_calls) < FEW else scipy.special.erfc)(x), np.float64)
 
 
 def _rule(inner: int) -> tuple[np.ndarray, Any]:
