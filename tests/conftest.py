@@ -10,7 +10,6 @@ import pathlib
 import platform
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 import jax
 import pytest
 import support.checked_types  # noqa: F401  # named in pyproject.toml, loaded here
-from jax._src import compilation_cache, compiler
+from jax._src import compilation_cache
 from jax._src.interpreters import mlir
 from support.fuzz_seed import VARIABLE, fuzz_seed
 
@@ -72,30 +71,6 @@ def shared_ir_context() -> Any:
 
 
 mlir.make_ir_context = shared_ir_context
-
-SMALL_TO_COMPILE, SMALL_TO_READ = 0.05, 0.01  # s: a program of one operation, of some 20 kB
-small_programs: dict[str, Any] = {}  # by the key of the cache
-cache_read, cache_write = compiler._cache_read, compiler._cache_write
-
-
-def read_program(name: str, key: str, *of_device: Any) -> Any:
-    """As JAX, but small programs are read once in a process: they stay when programs are dropped."""
-    if key in small_programs:
-        return small_programs[key], 0
-    begun = time.process_time()
-    program, seconds = cache_read(name, key, *of_device)
-    if program is not None and time.process_time() - begun < SMALL_TO_READ:
-        small_programs[key] = program
-    return program, seconds
-
-
-def write_program(key: str, seconds: float, name: str, backend: Any, program: Any, callbacks: Any) -> None:
-    if seconds < SMALL_TO_COMPILE and not callbacks:
-        small_programs[key] = program
-    cache_write(key, seconds, name, backend, program, callbacks)
-
-
-compiler._cache_read, compiler._cache_write = read_program, write_program
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -205,7 +205,7 @@ LOOKS = {
 }
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("name", LOOKS)
 def test_hidden_cells_are_those_that_a_search_of_every_line_of_sight_finds(name: str, seed: int) -> None:
     pitch, height, away, east, voids = LOOKS[name]
