@@ -207,7 +207,7 @@ def test_images_of_a_file_of_poses(survey: pathlib.Path, asked: list[Any]) -> No
     assert "--images others: a may be a.jpg, a.png; leave one of them in the folder." in " ".join(either.stderr.split())
     without = run("rectify", "reconstruction.json", *ORTHOS, "-o", "other.tif")
     assert without.exit_code == 2
-    assert "exposure a is no image among the given files; name the folder of the images with --images FOLDER." in (
+    assert "exposure a is not among the given images; give the folder of the images with --images FOLDER." in (
         " ".join(without.stderr.split())
     )
 
@@ -220,7 +220,7 @@ def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.
     far = ("--dem", "far.tif", "--vertical-datum", "ellipsoid", *READ)
     without = run("rectify", survey, *far, "--resolution", "2", "-o", "orthos")
     assert without.exit_code == 2
-    assert "no frame sees ground that tells --crs; name it" in " ".join(without.stderr.split())
+    assert "no frame sees any ground, which would determine --crs; state it" in " ".join(without.stderr.split())
     done = run("rectify", survey, *far, "--resolution", "2", "--crs", "EPSG:32616", "-o", "orthos")
     assert done.exit_code == 1
     said = " ".join(done.stderr.split())
@@ -242,8 +242,11 @@ def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.
         (["a.jpg", "--resume"], "--resume completes a folder of parts"),
         (["a.jpg", "b.jpg", "--band", "7", *READ], "--band 7: a.jpg has bands 1 to 3."),
         (["a.jpg", "--images", ".", *READ], "--images . is for a file of poses; a.jpg is of images"),
-        (["mission.sbet", "--images", ".", *READ], "mission.sbet: a SBET names no images. Give drone images, or a rec"),
-        (["flight.klv", *READ], "flight.klv: a MISB ST 0601 telemetry names no images."),
+        (
+            ["mission.sbet", "--images", ".", *READ],
+            "mission.sbet (SBET) does not refer to image files. Give drone images",
+        ),
+        (["flight.klv", *READ], "flight.klv (MISB ST 0601 telemetry) does not refer to image files."),
         (["opk.csv", "--images", ".", *READ, "--source-crs", "EPSG:32616"], "no camera; give --camera focal=8.8mm"),
         (["a.jpg", "b.jpg", *READ, "--resolution", "0"], "--resolution must be positive"),
         (["a.jpg", "b.jpg", *READ, "-o", "all.tif"], "--output all.tif: the result has several files; name a folder"),

@@ -70,8 +70,8 @@ class OrientedImages:
             form = _form(file)
             if form is not None and form.name.startswith(NO_IMAGES):
                 raise UserError(
-                    f"{file}: a {form.name} names no images. Give drone images, or a reconstruction or table of "
-                    f"orientations with --images FOLDER."
+                    f"{file} ({form.name}) does not refer to image files. Give drone images, or a reconstruction or "
+                    f"table of orientations with --images FOLDER."
                 )
             if self.folder is not None and (file.is_dir() or form is DRONE_IMAGES):
                 raise UserError(
@@ -124,8 +124,8 @@ class OrientedImages:
         unknown = next((name for name in names if name not in by_name), None)
         if unknown is not None:
             raise UserError(
-                f"{observed.source}: exposure {unknown} is no image among the given files; name the folder of the "
-                f"images with --images FOLDER."
+                f"{observed.source}: exposure {unknown} is not among the given images; give the folder of the images "
+                f"with --images FOLDER."
             )
         return [by_name[name] for name in names]
 

@@ -6,7 +6,7 @@ import dataclasses
 import pathlib
 import time
 from collections import Counter
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import typer
@@ -17,9 +17,9 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas
-from jaxgeo.cli._inputs import numbers_in
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
+from jaxgeo.cli._map_cells import MapCells
 from jaxgeo.cli._option_names import translate_cell_errors
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, given_options, print_json
@@ -31,23 +31,40 @@ SAMPLES = 2000  # of a cell
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MapOptions(OptionGroup):
-    """The cells of the map."""
+class ImageOptions(OptionGroup):
+    """The exposure of a map."""
 
-    panel = WRITING
+    panel: ClassVar[str | None] = SEEN
 
-    crs: Annotated[
-        str | None,
-        typer.Option("--crs", metavar="CRS", help='CRS of the file: "EPSG:32616", ... (default: UTM zone).'),
+    file: Annotated[
+        pathlib.Path | None,
+        typer.Argument(metavar="FILE", help="An image or other file that jaxgeo locate reads; or a scene."),
     ] = None
-    bounds: Annotated[
-        str | None,
+    scene: Annotated[
+        pathlib.Path | None,
         typer.Option(
-            "--bounds",
-            metavar="EDGES",
-            help="WEST,SOUTH,EAST,NORTH in units of --crs (default: the visible ground).",
+            "--scene",
+            metavar="FILE",
+            help="Scene file (TOML): camera, gimbal, mount and pose; also for a FILE without a camera.",
         ),
     ] = None
+    exposure: Annotated[
+        str | None, typer.Option("--exposure", metavar="NAME", help="The exposure of a FILE of several.")
+    ] = None
+
+    @property
+    def observed(self) -> ObservationOptions:
+        """As the options of `jaxgeo locate`."""
+        files = None if self.file is None else [self.file]
+        return ObservationOptions(
+            files=files, scene=self.scene, exposures=None if self.exposure is None else [self.exposure]
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MapOptions(MapCells):
+    """The cells of the map."""
+
     resolution: Annotated[
         str | None,
         typer.Option(
@@ -60,25 +77,9 @@ class MapOptions(OptionGroup):
         bool, typer.Option("--cog", help="Write a cloud-optimised GeoTIFF; with --cluster it always is.")
     ] = False
 
-    @property
-    def placed(self) -> dict[str, Any]:
-        """The arguments `crs`, `bounds` and `resolution` of a map. Raises `UserError`."""
-        edges, size = None, None
-        if self.bounds is not None:
-            edges = tuple(numbers_in("--bounds", self.bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
-            if self.crs is None:
-                raise UserError(f"--bounds {self.bounds}: give the CRS of the bounds with --crs.")
-        if self.resolution is not None:
-            sizes = tuple(numbers_in("--resolution", self.resolution, (1, 2), "one size, or ACROSS,DOWN"))
-            size = sizes[0] if len(sizes) == 1 else sizes
-        return {"crs": self.crs, "bounds": edges, "resolution": size}
-
 
 def accuracy_map_command(
-    file: Annotated[
-        pathlib.Path | None,
-        typer.Argument(metavar="FILE", help="An image or other file that jaxgeo locate reads; or a scene."),
-    ] = None,
+    of_image: ImageOptions,
     *,
     output: Annotated[
         pathlib.Path,
@@ -90,19 +91,6 @@ def accuracy_map_command(
             rich_help_panel=WRITING,
         ),
     ],
-    scene: Annotated[
-        pathlib.Path | None,
-        typer.Option(
-            "--scene",
-            metavar="FILE",
-            help="Scene file (TOML): camera, gimbal, mount and pose; also for a FILE without a camera.",
-            rich_help_panel=SEEN,
-        ),
-    ] = None,
-    exposure: Annotated[
-        str | None,
-        typer.Option("--exposure", metavar="NAME", help="The exposure of a FILE of several.", rich_help_panel=SEEN),
-    ] = None,
     ground: GroundOptions,
     probability: Probability = 0.9,
     samples: Annotated[
@@ -124,7 +112,7 @@ def accuracy_map_command(
 ) -> None:
     """Map of accuracy: CE and LE of every place on the ground of an image, as GeoTIFF.
 
-    Bands: circular error and linear error in m, the method that tells them, and the status. With --cluster the map is a
+    Bands: circular error and linear error in m, the method used, and the status. With --cluster the map is a
     folder of tiles with a mosaic (mosaic.vrt) and a STAC catalogue.
     """
     given = given_options(locals())
@@ -136,9 +124,7 @@ def accuracy_map_command(
         if samples < 0:
             raise UserError(f"--samples {samples}: must be a number of samples, 0 or more.")
         many.check_parts(many.cluster is not None)
-        files = None if file is None else [file]
-        of_images = ObservationOptions(files=files, scene=scene, exposures=None if exposure is None else [exposure])
-        options = LocateOptions(of_images, ground, reading, sigmas, refraction)
+        options = LocateOptions(of_image.observed, ground, reading, sigmas, refraction)
         how = placed | {"probability": probability}
         began = time.perf_counter()
         told, assumed = _computed(options, output, how, samples, cells.cog, many)
@@ -166,7 +152,7 @@ def _summary(told: dict[str, Any], probability: float) -> str:
 def _computed(
     options: LocateOptions, output: pathlib.Path, how: dict[str, Any], samples: int, cog: bool, many: PartsOptions
 ) -> tuple[dict[str, Any], list[str]]:
-    """(what is told of the map, assumptions); the map is written."""
+    """(figures of the map, assumptions); the map is written."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io.map_raster import checked_target
     from jaxgeo.uncertainty import Sampling

@@ -7,7 +7,7 @@ import math
 import pathlib
 import time
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import typer
 
@@ -16,9 +16,10 @@ from jaxgeo.cli._cluster import PartsOptions
 from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import numbers_in, read_terrain, terrain_files
+from jaxgeo.cli._inputs import read_terrain, terrain_files
+from jaxgeo.cli._map_cells import MapCells
 from jaxgeo.cli._option_names import translate_cell_errors, translate_reach_errors
-from jaxgeo.cli._options import WRITING, DemFiles, DemOptions, DemOptionsBesideBand, OptionGroup
+from jaxgeo.cli._options import WRITING, DemFiles, DemOptions, DemOptionsBesideBand
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._rectify_many import rectify_several
 from jaxgeo.cli._results import AsJson, given_options, print_json
@@ -37,29 +38,9 @@ class Interpolation(StrEnum):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CellOptions(OptionGroup):
+class CellOptions(MapCells):
     """The cells of an orthoimage, and how they are filled."""
 
-    panel: ClassVar[str | None] = WRITING
-
-    crs: Annotated[
-        str | None,
-        typer.Option("--crs", metavar="CRS", help='CRS of the file: "EPSG:32616", ... (default: UTM zone).'),
-    ] = None
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            "--bounds",
-            metavar="EDGES",
-            help="WEST,SOUTH,EAST,NORTH in units of --crs (default: the whole footprint).",
-        ),
-    ] = None
-    resolution: Annotated[
-        str | None,
-        typer.Option(
-            "--resolution", metavar="SIZE", help="Cell size in units of --crs, or ACROSS,DOWN (default: the GSD)."
-        ),
-    ] = None
     like: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -83,20 +64,9 @@ class CellOptions(OptionGroup):
     @property
     def wishes(self) -> dict[str, Any]:
         """Arguments of `rectify_file`. Raises `UserError`."""
-        edges, cell = None, None
-        if self.bounds is not None:
-            edges = tuple(numbers_in("--bounds", self.bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
-        if self.resolution is not None:
-            sizes = tuple(numbers_in("--resolution", self.resolution, (1, 2), "one size, or ACROSS,DOWN"))
-            cell = sizes[0] if len(sizes) == 1 else sizes
         if self.like is not None and any(one is not None for one in (self.crs, self.bounds, self.resolution)):
             raise UserError("--like sets the grid: leave out --crs, --bounds and --resolution.")
-        if self.bounds is not None and self.crs is None:
-            raise UserError(f"--bounds {self.bounds}: give the CRS of the bounds with --crs.")
-        return {
-            "crs": self.crs,
-            "bounds": edges,
-            "resolution": cell,
+        return self.placed | {
             "like": self.like,
             "bands": self.band,
             "interpolation": _interpolations()[self.interpolation],

@@ -206,7 +206,9 @@ def _cells_of(
             reason = reason or error
     assert reason is not None
     missing = " and ".join(f"{name}=" for name, value in (("crs", crs), ("resolution", resolution)) if value is None)
-    raise NothingSeen(f"no frame sees ground that tells {missing}; name it. The first: {reason}") from reason
+    raise NothingSeen(
+        f"no frame sees any ground, which would determine {missing}; state it. The first: {reason}"
+    ) from reason
 
 
 def _identity(setting: Setting) -> dict[str, str]:
