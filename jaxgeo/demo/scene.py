@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import long_run_jit
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._locate import locate, project
 from jaxgeo._numerics import safe_angle, safe_norm
 from jaxgeo._record import Record
@@ -136,7 +136,7 @@ def _posts_in_image(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, n
     return posts[ok], uv[ok], distance[ok]
 
 
-@long_run_jit
+@batch_filter_jit
 def _projected(sensor: Sensor, shot: Shot, dem: Dem, posts: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     def project_one(rowcol: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         post = _post(dem, *rowcol)
@@ -161,7 +161,7 @@ def _section_under_axis(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarra
     return distance, sight, ground, off_nadir < highest - 1e-6
 
 
-@long_run_jit
+@quick_filter_jit
 def _section(sensor: Sensor, shot: Shot, dem: Dem, ranges: jax.Array) -> tuple[jax.Array, ...]:
     origin, direction, _ = sensor.ray_ecef(shot, _middle(sensor.camera))
     down = -WGS84.normal_and_height(origin)[0]
