@@ -23,7 +23,7 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
 from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii
+from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, over_profile
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
 from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
@@ -35,7 +35,7 @@ from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, reso
 SAMPLES = 20_000
 SAMPLING = Sampling()
 OF_PIXELS = (None, None, 0, None, None)
-_select_method = jax.jit(select_method)
+_select_method, _over_profile = jax.jit(select_method), quick_filter_jit(over_profile)
 
 
 @accepts_sampling_options
@@ -60,8 +60,8 @@ def accuracy(
     The terrain around the fix is examined first, without samples: the slopes of facet and footprint, the terrain
     profile along the line of sight with its ridges and unseen gaps, and edges and voids within the errors' range. If
     linear propagation over the facet agrees with footprint and profile, it is used; otherwise that over the footprint,
-    if it agrees with the profile. If neither is valid, or the ground cannot be probed, samples are drawn as `sampling`
-    says (default: 20 000; of many pixels 2000 each).
+    if it agrees with the profile. Its radii are scaled by what the profile makes of them. If neither is valid, or the
+    ground cannot be probed, samples are drawn as `sampling` says (default: 20 000; of many pixels 2000 each).
 
     - Many pixels of one exposure: `uv` (..., 2); the result has the shape of the pixels.
     - Many exposures: `in_axes`, as for `jax.vmap`, is 0 for each of (sensor, shot, uv, terrain, errors), or of
@@ -127,7 +127,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
         cov, bias, failed = np.full((3, 3), np.nan), np.full(3, np.nan), sampled.failed
     else:
         errors_of = (linear.circular_error, linear.linear_error, linear.spherical_error)
-        radii = [error_of(level) for error_of in errors_of]
+        radii = _over_profile(tuple(error_of(level) for error_of in errors_of), diagnostics, jnp.asarray(int(method)))
     circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
     more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
     return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)
