@@ -23,7 +23,7 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
 from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, over_profile
+from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, over_profile, profile_factors
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
 from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
@@ -35,7 +35,7 @@ from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, reso
 SAMPLES = 20_000
 SAMPLING = Sampling()
 OF_PIXELS = (None, None, 0, None, None)
-_select_method, _over_profile = jax.jit(select_method), quick_filter_jit(over_profile)
+_select_method = jax.jit(select_method)
 
 
 @accepts_sampling_options
@@ -117,7 +117,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
-    diagnostics, facet, footprint, _ = diagnose(inputs, nominal, model)
+    diagnostics, facet, footprint, profile = diagnose(inputs, nominal, model)
     method, probability = Method(int(_select_method(diagnostics))), float(level)
     linear = facet if method is Method.facet else footprint
     cov, bias, failed, sampled = linear.cov_enu, linear.bias_enu, np.nan, None
@@ -127,17 +127,23 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
         cov, bias, failed = np.full((3, 3), np.nan), np.full(3, np.nan), sampled.failed
     else:
         errors_of = (linear.circular_error, linear.linear_error, linear.spherical_error)
-        radii = _over_profile(tuple(error_of(level) for error_of in errors_of), diagnostics, jnp.asarray(int(method)))
+        radii = _scaled(tuple(error_of(level) for error_of in errors_of), profile, nominal, cov, level)
     circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
     more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
     return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)
 
 
 @quick_filter_jit
+def _scaled(radii: Any, profile: Any, nominal: Any, cov_enu: Any, level: Scalar) -> Any:
+    """Radii of linear propagation as the terrain profile makes them."""
+    return over_profile(radii, jnp.stack(profile_factors(profile, nominal, cov_enu, level)))
+
+
+@quick_filter_jit
 def _without_samples(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: AbstractSearch) -> Accuracy:
     """Accuracy of one fix by linear propagation, NaN where it is not valid."""
     nominal = inputs.nominal_fix(search)
-    one = assess_fix(inputs, nominal, model)
+    one = assess_fix(inputs, nominal, model, level)
     is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
     cov, bias = (jnp.where(is_linear, x, jnp.nan) for x in (one.cov_enu, one.bias_enu))
     return Accuracy(

@@ -212,7 +212,7 @@ def _assess(
     cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel, request: Request
 ) -> tuple[Any, Any]:
     """(linear accuracy of a block of cells, its radii)."""
-    one = assess_cells(cells, nominals, context, model)
+    one = assess_cells(cells, nominals, context, model, request.probability)
     return one, linear_radii_of_block(one, request.probability)
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
@@ -22,37 +23,45 @@ from jaxgeo.uncertainty.method_selection import (
 )
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.profile import Profile, along_of
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 
 STEPS = 0.002  # of the logarithm: figures over the profile of a plane are off by less, for its steps
 
 
 class LinearAccuracy(NamedTuple):
-    """Selected method at a fix, with the covariance in m2 and bias in m (east, north, up) of linear propagation."""
+    """Selected method at a fix, with the covariance in m2 and bias in m (east, north, up) of linear propagation.
+
+    `factors` are those by which the terrain profile makes circular and linear errors larger than they are over the
+    plane of linear propagation.
+    """
 
     method: IndexField
     cov_enu: Matrix3Field
     bias_enu: Vector3Field
     diagnostics: Diagnostics
+    factors: Float[Array, "2"]
 
 
-def assess_fix(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> LinearAccuracy:
-    """Method selected by the diagnostics of an observation."""
-    return select_linear(diagnose(inputs, nominal, model), nominal)
+def assess_fix(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, probability: Scalar) -> LinearAccuracy:
+    """Method selected by the diagnostics of an observation, for radii of a probability."""
+    return select_linear(diagnose(inputs, nominal, model), nominal, probability)
 
 
-def select_linear(found: Diagnosed, nominal: NominalFix) -> LinearAccuracy:
-    """Method selected by diagnostics."""
-    diagnostics, facet, footprint, _ = found
+def select_linear(found: Diagnosed, nominal: NominalFix, probability: Scalar) -> LinearAccuracy:
+    """Method selected by diagnostics, for radii of a probability."""
+    diagnostics, facet, footprint, profile = found
     method = select_method(diagnostics)
     either = lambda a, b: jnp.where(method == Method.footprint, b, a)  # noqa: E731
     cov, bias = either(facet.cov_enu, footprint.cov_enu), either(facet.bias_enu, footprint.bias_enu)
+    factors = jnp.stack(profile_factors(profile, nominal, cov, probability))
     method = jnp.where(counts_as_fix(jnp.asarray(nominal.fix.status)), method, NO_FIX)
-    return LinearAccuracy(method, cov, bias, diagnostics)
+    return LinearAccuracy(method, cov, bias, diagnostics, factors)
 
 
 def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:
-    """Circular, linear and spherical error of one or many fixes; NaN where linear propagation is not valid."""
+    """Circular, linear and spherical error of one or many fixes, of the probability that their factors are for; NaN
+    where linear propagation is not valid."""
     is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
     cov, bias = one.cov_enu, one.bias_enu
     radii = (
@@ -60,33 +69,38 @@ def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Num
         linear_radius(cov, probability, bias),
         spherical_radius(cov, probability, bias),
     )
-    circular, linear, spherical = over_profile(radii, one.diagnostics, one.method)
+    circular, linear, spherical = over_profile(radii, one.factors)
     circular, linear, spherical = (jnp.where(is_linear, radius, jnp.nan) for radius in (circular, linear, spherical))
     return circular, linear, spherical
 
 
-def over_profile(
-    radii: tuple[Numbers, Numbers, Numbers], diagnostics: Diagnostics, method: IndexField
-) -> tuple[Numbers, Numbers, Numbers]:
-    """Radii of linear propagation by `method`, in proportion to what the terrain profile makes of them at 90 %.
+def profile_factors(
+    profile: Profile, nominal: NominalFix, cov_enu: Matrix3Field, probability: Scalar
+) -> tuple[Scalar, Scalar]:
+    """(circular, linear) error over the terrain profile, divided by that over the plane of linear propagation.
 
-    The profile follows the ground along the line of sight, which facet and footprint take for a plane. Derivatives are
-    those of linear propagation.
+    Facet and footprint take the ground for a plane; the profile follows it along the line of sight. The figures that
+    are divided come from the same lines of sight, so that on a plane the factors are 1. Without derivatives.
     """
+    cov, direction, probability = jax.lax.stop_gradient((cov_enu, nominal.direction_enu, probability))
+    along, _ = along_of(direction)
+    plane = profile.over_plane(safe_sqrt(along @ cov[:2, :2] @ along), safe_sqrt(cov[2, 2]))
+    circular = _factor(profile.circular_error(probability), plane.circular_error(probability), AGREEMENT)
+    return circular, _factor(profile.linear_error(probability), plane.linear_error(probability), AGREEMENT_UP)
+
+
+def over_profile(
+    radii: tuple[Numbers, Numbers, Numbers], factors: Float[Array, "... 2"]
+) -> tuple[Numbers, Numbers, Numbers]:
+    """Circular, linear and spherical error of linear propagation, times the factors of the terrain profile."""
     circular, linear, spherical = radii
-    is_footprint = method == Method.footprint
-    plane = jnp.where(is_footprint, diagnostics.footprint, diagnostics.facet)
-    plane_up = jnp.where(is_footprint, diagnostics.footprint_up, diagnostics.facet_up)
-    across = _factor(diagnostics.profile, plane, AGREEMENT)
-    up = _factor(diagnostics.profile_up, plane_up, AGREEMENT_UP)
+    across, up = factors[..., 0], factors[..., 1]
     beyond = jnp.maximum(spherical**2 - circular**2, 0.0)  # of the height
-    level = spherical**2 - beyond
-    return circular * across, linear * up, safe_sqrt(level * across**2 + beyond * up**2)
+    return circular * across, linear * up, safe_sqrt((spherical**2 - beyond) * across**2 + beyond * up**2)
 
 
 def _factor(profile: Numbers, plane: Numbers, most: float) -> Numbers:
     """Ratio of two figures, 1 where they are the same within the profile's steps, and at most the agreement asked."""
-    profile, plane = jax.lax.stop_gradient((profile, plane))
     both = (profile > 0.0) & (plane > 0.0) & jnp.isfinite(profile) & jnp.isfinite(plane)
     off = jnp.log(jnp.where(both, profile, 1.0) / jnp.where(both, plane, 1.0))
     return jnp.exp(jnp.clip(off - jnp.clip(off, -STEPS, STEPS), -most, most))

@@ -138,8 +138,12 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
         unknown = jnp.asarray(np.nan)
         diagnostics = Diagnostics(*[unknown] * len(Diagnostics._fields))
         cov, bias = (jnp.asarray(np.full(shape, np.nan)) for shape in ((3, 3), 3))
-        return nominal, LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics), (unknown, unknown, unknown)
-    found = _select_linear(diagnose(inputs, nominal, model), nominal)
+        return (
+            nominal,
+            LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics, jnp.ones(2)),
+            (unknown, unknown, unknown),
+        )
+    found = _select_linear(diagnose(inputs, nominal, model), nominal, request.probability)
     return nominal, found, linear_radii(found, request.probability)
 
 
@@ -153,7 +157,7 @@ def _assess_block(
     def one(own: tuple[Any, ...]) -> tuple[NominalFix, LinearAccuracy]:
         inputs, model = _inputs_of(_merge(own, shared, axes))
         nominal = inputs.nominal_fix(search)
-        return nominal, assess_fix(inputs, nominal, model)
+        return nominal, assess_fix(inputs, nominal, model, probability)
 
     nominals, found = jax.vmap(one)(lanes)
     return nominals, found, linear_radii(found, probability)

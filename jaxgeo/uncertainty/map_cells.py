@@ -111,9 +111,12 @@ def locate_cells(
 
 
 @batch_filter_jit
-def assess_cells(cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel) -> LinearAccuracy:
+def assess_cells(
+    cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel, probability: Scalar
+) -> LinearAccuracy:
     """Accuracy of cells by linear propagation."""
-    return jax.vmap(lambda cell, nominal: assess_fix(context.inputs(cell), nominal, model))(cells, nominals)
+    one = lambda cell, nominal: assess_fix(context.inputs(cell), nominal, model, probability)  # noqa: E731
+    return jax.vmap(one)(cells, nominals)
 
 
 @eqx.filter_jit

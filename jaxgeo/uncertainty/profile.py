@@ -68,7 +68,7 @@ class Profile(NamedTuple):
         places, unseen, gap = (np.asarray(x) for x in (self.places, self.unseen, self.gap))
         return np.abs(np.interp(ahead, places, unseen) - unseen[NODES]) > gap
 
-    def circular_error(self, probability: float) -> Scalar:
+    def circular_error(self, probability: float | Scalar) -> Scalar:
         """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail."""
 
         def within(radius: Scalar) -> Scalar:
@@ -78,7 +78,7 @@ class Profile(NamedTuple):
 
         return self._radius(within, probability, jnp.abs(self.ahead) + jnp.abs(self.across) + 9.0 * self.across_sigma)
 
-    def linear_error(self, probability: float) -> Scalar:
+    def linear_error(self, probability: float | Scalar) -> Scalar:
         """Height in m above and below the nominal fix that contains the fix with a probability."""
 
         def within(radius: Scalar) -> Scalar:
@@ -87,7 +87,12 @@ class Profile(NamedTuple):
 
         return self._radius(within, probability, jnp.abs(self.up) + 9.0 * self.up_sigma)
 
-    def _radius(self, within: Callable[[Scalar], Scalar], probability: float, reach: Levels) -> Scalar:
+    def over_plane(self, ahead_sigma: Scalar, up_sigma: Scalar) -> Profile:
+        """The same lines of sight over a plane, whose ground points ahead and up have these standard deviations, m."""
+        levels, common = _normal_levels(), jnp.sqrt(jnp.maximum(up_sigma**2 - self.up_sigma**2, 0.0))
+        return self._replace(ahead=ahead_sigma * levels, up=common * levels)
+
+    def _radius(self, within: Callable[[Scalar], Scalar], probability: float | Scalar, reach: Levels) -> Scalar:
         def halve(_: Int[Array, ""], ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
             low, high = ends
             middle = 0.5 * (low + high)
@@ -108,10 +113,7 @@ def profile_of(
     along the whole profile. Across the line of sight the ground is a plane with a `normal` whose last component is 1.
     """
     terrain, nominal, sweep, cov_error, normal = jax.lax.stop_gradient((terrain, nominal, sweep, cov_error, normal))
-    level = jnp.sqrt(nominal.direction_enu[0] ** 2 + nominal.direction_enu[1] ** 2)
-    plumb = level < FLAT
-    along = jnp.where(plumb, jnp.array([1.0, 0.0]), nominal.direction_enu[:2] / jnp.where(plumb, 1.0, level))
-    level = jnp.maximum(level, FLAT)
+    along, level = along_of(nominal.direction_enu)
     fall = -nominal.direction_enu[2] / level
     to_lift = lambda swept: swept[2] + fall * (along @ swept[:2])  # noqa: E731
     turn = (to_lift(sweep.farther) - to_lift(sweep.line)) / FARTHER
@@ -130,7 +132,7 @@ def profile_of(
     lift = lift_at_fix[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
     sigma = jnp.maximum(jnp.sqrt(jnp.maximum(jnp.sum((lift @ cov_error) * lift, axis=1), 0.0)), LEAST)
 
-    levels = ndtri((jnp.arange(LEVELS) + 0.5) / LEVELS)
+    levels = _normal_levels()
     ahead, rise, fell, unseen = _first_met(ground, ground.above / sigma, levels)
     jumped = fell & (jnp.abs(jnp.interp(ahead, ground.ahead, unseen) - unseen[NODES]) > gap)
     at_fix = lift[NODES] / sigma[NODES]
@@ -150,6 +152,19 @@ def profile_of(
         gap=gap,
         off=off,
     )
+
+
+def along_of(direction_enu: Vector3) -> tuple[Float[Array, "2"], Scalar]:
+    """(horizontal unit vector along a line of sight, its horizontal component); east for one that is plumb."""
+    level = jnp.sqrt(direction_enu[0] ** 2 + direction_enu[1] ** 2)
+    plumb = level < FLAT
+    along = jnp.where(plumb, jnp.array([1.0, 0.0]), direction_enu[:2] / jnp.where(plumb, 1.0, level))
+    return along, jnp.maximum(level, FLAT)
+
+
+def _normal_levels() -> Levels:
+    """Quantiles of the normal distribution at the middle of `LEVELS` equal shares."""
+    return ndtri((jnp.arange(LEVELS) + 0.5) / LEVELS)
 
 
 def _ground(terrain: AbstractTerrain, nominal: NominalFix, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
