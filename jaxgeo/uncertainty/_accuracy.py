@@ -130,7 +130,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
         radii = [error_of(level) for error_of in errors_of]
     circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
     more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
-    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)
+    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, model.left_out)
 
 
 @quick_filter_jit
@@ -140,9 +140,8 @@ def _without_samples(inputs: ModelInputs, model: ErrorModel, level: Scalar, sear
     one = assess_fix(inputs, nominal, model)
     is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
     cov, bias = (jnp.where(is_linear, x, jnp.nan) for x in (one.cov_enu, one.bias_enu))
-    return Accuracy(
-        nominal.fix, level, *linear_radii(one, level), one.method, cov, bias, jnp.asarray(jnp.nan), one.diagnostics
-    )
+    figures = (*linear_radii(one, level), one.method, cov, bias, jnp.asarray(jnp.nan), one.diagnostics)
+    return Accuracy(nominal.fix, level, *figures, note=model.left_out)
 
 
 def _of_pixels(

@@ -70,7 +70,7 @@ def error_samples(
     True
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, inputs)
+    model = checked_model(errors, inputs, moments=0)
     check_key(key)
     draws = checked_draws(Random() if draws is None else draws)
     numbers = _checked_numbers(indices, draws.most)
@@ -100,8 +100,9 @@ def _errors_of(
     nominal = inputs.nominal_fix(search)
     model = model.at(inputs, nominal)
     places = places_of_ground(model, inputs)
-    turn = rotation_of(draws, model, inputs, nominal)
-    stages = error_stages(draws, key, model, model.roots(), turn)
+    roots = model.roots()
+    turn = rotation_of(draws, model, roots, inputs, nominal)
+    stages = error_stages(draws, key, model, roots, turn)
 
     def of_block(numbers: Int[Array, " block"]) -> tuple[Any, Any]:
         lines = perturbed_lines(model, inputs, places, stages, numbers)

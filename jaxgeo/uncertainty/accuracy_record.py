@@ -48,6 +48,7 @@ class Accuracy(OldNames, Record):
     `bias_enu` (..., 3) in m, east, north, up, are those of linear propagation, NaN where it is not valid. `failed` is
     the share of samples without a fix, NaN if none were drawn; `count` is the number of samples drawn where they are
     needed. `diagnostics` selected the method. `propagation` and `sampled` hold the details of one fix outside `jit`.
+    `note` says what linear propagation leaves out of errors that are not normal, None if all are normal.
 
     A pytree for `jit` and `vmap`. `found[3]` is one of many; `str(found)` describes one, and summarises many.
     """
@@ -65,6 +66,7 @@ class Accuracy(OldNames, Record):
     count: int = eqx.field(static=True, default=0)
     propagation: Propagation | None = None
     sampled: Sampled | None = None
+    note: str | None = eqx.field(static=True, default=None)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -95,7 +97,7 @@ class Accuracy(OldNames, Record):
         Raises `ValueError` for many fixes: take one, `found[3].because`.
         """
         code = int(np.asarray(self._one("because").method))
-        return None if code == NO_FIX else explain_method(self.diagnostics, Method(code))
+        return None if code == NO_FIX else _with_note(explain_method(self.diagnostics, Method(code)), code, self.note)
 
     def level(self) -> float:
         """The probability common to all radii; host only. Raises `ValueError` if there are several."""
@@ -140,6 +142,8 @@ def summary(accuracy: Any, noun: str, meaning: Callable[[Status], str] = lambda 
         lines.append(f"  {np.count_nonzero(method == one):8d}  {words}")
     for status, number in count_statuses(statuses[~has_fix]).items():
         lines.append(f"  {number:8d}  {status.name}: {meaning(status)}")
+    if getattr(accuracy, "note", None) is not None:
+        lines.append(accuracy.note)
     return "\n".join(lines)
 
 
@@ -148,9 +152,13 @@ def reasons(accuracy: Accuracy) -> list[str | None]:
     rows = np.stack([np.asarray(one) for one in accuracy.diagnostics], axis=-1).tolist()
     codes = np.asarray(accuracy.method).tolist()
     return [
-        None if code == NO_FIX else explain_method(Diagnostics(*row), Method(code))
+        None if code == NO_FIX else _with_note(explain_method(Diagnostics(*row), Method(code)), code, accuracy.note)
         for code, row in zip(codes, rows, strict=True)
     ]
+
+
+def _with_note(because: str, code: int, note: str | None) -> str:
+    return because if note is None or code == Method.samples else f"{because} {note}"
 
 
 def batch_of(
@@ -163,6 +171,7 @@ def batch_of(
     diagnostics: Diagnostics,
     count: int,
     shape: tuple[int, ...],
+    note: str | None,
 ) -> Accuracy:
     """Accuracy of many fixes from arrays (n, ...) on the host, reshaped to a batch."""
     is_linear = np.isin(method, [Method.facet, Method.footprint])
@@ -171,4 +180,4 @@ def batch_of(
     levels = np.full(method.shape, probability)
     flat = (fix, levels, circular, linear, spherical, method, cov_enu, bias_enu, failed, diagnostics)
     arrays: Any = jax.tree.map(lambda leaf: jnp.asarray(np.reshape(leaf, shape + np.shape(leaf)[1:])), flat)
-    return Accuracy(*arrays, count=count)
+    return Accuracy(*arrays, count=count, note=note)

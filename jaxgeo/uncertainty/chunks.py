@@ -163,14 +163,17 @@ def _evaluated(
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, Any]:
     """(model at the observation, its roots, rotation for Sobol points, places of the ground's leaves)."""
     model = model.at(inputs, nominal)
-    return model, model.roots(), rotation_of(draws, model, inputs, nominal), places_of_ground(model, inputs)
+    roots = model.roots()
+    return model, roots, rotation_of(draws, model, roots, inputs, nominal), places_of_ground(model, inputs)
 
 
-def rotation_of(draws: AbstractDraws, model: ErrorModel, inputs: ModelInputs, nominal: NominalFix) -> Any:
+def rotation_of(
+    draws: AbstractDraws, model: ErrorModel, roots: tuple[Root, ...], inputs: ModelInputs, nominal: NominalFix
+) -> Any:
     """Rotation (axes, axes) of the draws by a model that is evaluated at the observation; None for independent ones."""
     if not isinstance(draws, Sobol):
         return None
-    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
+    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.linear_draw(roots))
 
 
 def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple[Root, ...], turn: Any) -> Stages:
@@ -203,19 +206,19 @@ def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3
     return (_draw_chunk_long if size.is_long_run else _draw_chunk_short)(plan, lines, part, centre, size, keep)
 
 
-def fixes_of_normals(
-    plan: Plan, normals: Float[Array, "points axes"], size: Size
+def fixes_of_points(
+    plan: Plan, points: Float[Array, "points axes"], size: Size
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """(offsets in m from the nominal fix, statuses) of the fixes of given standard normal vectors.
+    """(offsets in m from the nominal fix, statuses) of the fixes of points z, with error vectors L z of the `factor` L.
 
     The fixes are found by the program of the samples, so that nothing large is compiled. None if the points are more
     than a block of samples.
     """
-    count = len(normals)
+    count = len(points)
     if count > BLOCK:
         return None
     room = size.capacity * len(size.devices) - count
-    lines = jax.tree.map(np.asarray, _lines_of_normals(plan.lines, normals))
+    lines = jax.tree.map(np.asarray, _lines_of_points(plan.lines, points))
     lines = jax.tree.map(lambda x: np.concatenate([x, np.broadcast_to(x[:1], (room, *x.shape[1:]))]), lines)
     if len(size.devices) > 1:
         lines = jax.device_put(lines, NamedSharding(_mesh(size.devices), PartitionSpec("samples")))
@@ -226,9 +229,14 @@ def fixes_of_normals(
 
 
 @quick_filter_jit
-def _lines_of_normals(plan: LinePlan, normals: Float[Array, "points axes"]) -> PerturbedLines:
-    stages = (lambda normal: plan.model.draw(plan.roots, normal),)
-    return perturbed_lines(plan.model, plan.inputs, plan.places, stages, normals)
+def _lines_of_points(plan: LinePlan, points: Float[Array, "points axes"]) -> PerturbedLines:
+    model = plan.model
+    if model.is_normal:
+        stages = (lambda point: model.draw(plan.roots, point),)
+    else:
+        factor = model.factor()
+        stages = (lambda point: jnp.sum(factor * point[None, :], axis=1),)
+    return perturbed_lines(model, plan.inputs, plan.places, stages, points)
 
 
 def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:

@@ -19,8 +19,8 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty._second_order import Moments, moments_of_points, sigma_moments, sigma_points_of
-from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, chunks, fixes_of_normals, make_plan, one_ahead
+from jaxgeo.uncertainty._second_order import Moments, axis_moments, moments_of_points, sigma_moments, sigma_points_of
+from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, chunks, fixes_of_points, make_plan, one_ahead
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.histogram import Counter
 from jaxgeo.uncertainty.host_arrays import with_bar
@@ -102,7 +102,7 @@ def sample(
         raise ValueError("keep returns every sample, and summary none; leave one of them out.")
     timeout = check_timeout(timeout)
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, inputs)
+    model = checked_model(errors, inputs, moments=0)
     nominal = inputs.nominal_fix(search)
     refuse_traced("sample", nominal)  # inside of jit, if all arguments are constants of its program
     nominal.require_fix()
@@ -161,10 +161,12 @@ class Sampler(NamedTuple):
         """`sigma_points`, whose fixes are found by the program of the samples."""
         inputs, model = self.plan.lines.inputs, self.plan.lines.model
         nominal = self.plan.fixes.nominal
-        fixes = fixes_of_normals(self.plan, sigma_points_of(model.size), self.size)
+        order = axis_moments(model)
+        fixes = fixes_of_points(self.plan, sigma_points_of(model.size, order), self.size)
         if fixes is None:
             return sigma_moments(inputs, nominal, model, self.values["search"])
-        return moments_of_points(nominal, *map(jnp.asarray, fixes))
+        offsets, statuses = map(jnp.asarray, fixes)
+        return moments_of_points(nominal, offsets, statuses, order)
 
     def draw(
         self, first: int, count: int, wanted: Wanted, centre: np.ndarray, half_width: float | None = None
