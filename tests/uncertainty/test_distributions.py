@@ -288,8 +288,14 @@ def drawn(model: ErrorModel, count: int) -> np.ndarray:
     return np.asarray(jax.jit(errors)(jnp.arange(count)))
 
 
+def _distance(values: np.ndarray, cdf: Any) -> float:
+    """Largest difference between the shares of values and probabilities below a value (Kolmogorov)."""
+    result: Any = scipy.stats.ks_1samp(values, cdf)
+    return float(result.statistic)
+
+
 def test_distributions_are_kept_under_correlation() -> None:
-    model, errors = drawn_block()
+    errors = drawn_block()[1]
     limit = 3.0 / math.sqrt(len(errors))  # Kolmogorov's distance of independent draws is beyond this once in 10^7
     spread = Mixture.of_outliers(share=0.1, times=4.0)
     core = 0.5 / float(spread.per_core)
@@ -304,7 +310,7 @@ def test_distributions_are_kept_under_correlation() -> None:
         outliers,
     )
     for axis, cdf in zip(errors.T, expected, strict=True):
-        assert scipy.stats.ks_1samp(axis, cdf).statistic < limit
+        assert _distance(axis, cdf) < limit
     assert np.max(np.abs(errors[:, 0])) <= math.sqrt(3.0)
 
 
@@ -337,7 +343,7 @@ def test_a_field_of_heights_keeps_its_distribution_and_variogram() -> None:
     placed = as_float64(jax.tree.map(lambda x: x, field), "field")
     placed = type(field)(**(vars(placed) | {"place": place}))
     errors = drawn(ErrorModel((placed,)), 2**16)
-    assert scipy.stats.ks_1samp(errors[:, 2], scipy.stats.laplace(scale=math.sqrt(2.0)).cdf).statistic < 0.012
+    assert _distance(errors[:, 2], scipy.stats.laplace(scale=math.sqrt(2.0)).cdf) < 0.012
     expected = np.exp(-((25.0 * np.subtract.outer(np.arange(5), np.arange(5)) / 100.0) ** 2))
     np.testing.assert_allclose(np.corrcoef(errors.T), expected, atol=0.02)
 
@@ -371,6 +377,7 @@ def test_linear_propagation_uses_the_variance_and_says_so() -> None:
     assert "note" not in un.budget(normal).to_dict()
 
 
+@pytest.mark.slow
 def test_accuracy_says_what_it_left_out() -> None:
     scene = _scene(UP(2.0, distribution=Uniform()))
     found = jaxgeo.accuracy(*scene, sampling=None)
@@ -385,14 +392,18 @@ def test_accuracy_says_what_it_left_out() -> None:
 
 
 def test_a_tuple_of_normal_axes_is_normal() -> None:
-    """To the bit, in the same program."""
+    """It is drawn by the same program, to the bit."""
     plain, listed = (
-        jaxgeo.sample(*_scene(sources.Position.from_ned(north=1, east=2, down=3, **more), UP(1.0)), count=50, keep=True)
+        as_float64(ErrorModel((sources.Position.from_ned(north=1, east=2, down=3, **more),)), "errors")
         for more in ({}, {"distribution": (None, None, None)})
     )
-    np.testing.assert_array_equal(plain.errors_enu, listed.errors_enu)
+    normal = jnp.array([0.3, -1.2, 2.0])
+    programs = [jax.make_jaxpr(lambda z, m=model: m.draw(m.roots(), z))(normal) for model in (plain, listed)]
+    assert str(programs[0]) == str(programs[1])
+    assert plain.left_out is listed.left_out is None
 
 
+@pytest.mark.slow
 def test_samples_have_the_distribution() -> None:
     """Heights over level ground seen steeply: the vertical error is that of the heights."""
     scene = _scene(UP(2.0, distribution=Uniform()))
@@ -406,9 +417,8 @@ def test_samples_have_the_distribution() -> None:
 
 def test_errors_without_a_variance_can_be_sampled_only() -> None:
     scene = _scene(UP(2.0, distribution=StudentT(1)))
-    found = jaxgeo.sample(*scene, count=3200, draws=Sobol())
-    expected = 2.0 * float(scipy.stats.cauchy.ppf(0.95))
-    assert found.quantile("LE", 0.9).value == pytest.approx(expected, rel=0.02)
+    errors = drawn(checked_model(scene[4], _level_inputs(), moments=0), 2**14)
+    assert np.quantile(errors, 0.95) == pytest.approx(2.0 * float(scipy.stats.cauchy.ppf(0.95)), rel=0.02)
     for method in (jaxgeo.propagate, jaxgeo.accuracy, un.sobol_indices, un.gauss_helmert, un.second_order):
         with pytest.raises(ValueError, match="has no finite"):
             method(*scene)
