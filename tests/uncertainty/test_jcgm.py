@@ -140,7 +140,9 @@ def test_calibration_of_a_mass() -> None:
 
 
 # 9.4: comparison loss of a microwave power meter, dY = X1^2 + X2^2, tables 7 to 9; in 1e-6.
-@pytest.mark.parametrize("x1, u, low, high", zip(SQUARES, (50, 112, 502), (0, 0, 1590), (150, 367, 3543), strict=True))
+@pytest.mark.parametrize(
+    "x1, u, low, high", list(zip(SQUARES, (50, 112, 502), (0, 0, 1590), (150, 367, 3543), strict=True))
+)
 def test_comparison_loss_of_independent_quantities(x1: float, u: int, low: float, high: float) -> None:
     errors = drawn(quantity(0.005), quantity(0.005))
     loss = 1e6 * ((x1 + errors[0]) ** 2 + errors[1] ** 2)
@@ -151,7 +153,9 @@ def test_comparison_loss_of_independent_quantities(x1: float, u: int, low: float
     assert middle_interval(loss) == pytest.approx(tuple(exact.ppf([0.025, 0.975])), rel=5e-3)
 
 
-@pytest.mark.parametrize("x1, u, low, high", zip(SQUARES, (67, 121, 505), (0, 13, 1628), (185, 398, 3555), strict=True))
+@pytest.mark.parametrize(
+    "x1, u, low, high", list(zip(SQUARES, (67, 121, 505), (0, 13, 1628), (185, 398, 3555), strict=True))
+)
 def test_comparison_loss_of_correlated_quantities(x1: float, u: int, low: float, high: float) -> None:
     pair = Quantity(jnp.array([0.005, 0.005]), jnp.array([[1.0, 0.9], [0.9, 1.0]]))
     errors = drawn(pair)

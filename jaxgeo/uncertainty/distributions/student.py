@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -9,7 +10,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy  # submodules load lazily
-from jaxtyping import Array, Float
 
 from jaxgeo._typing import Numbers, ScalarField
 from jaxgeo.uncertainty.distributions.base import AbstractDistribution
@@ -27,21 +27,19 @@ class StudentT(AbstractDistribution):
     propagation refuses the source. If a data sheet or a mean of n readings gives that scale (JCGM 101:2008, 6.4.9), the
     standard deviation is `StudentT(df).per_scale` times as large.
 
-    A table of the quantile function, to a relative 1e-9 (from SciPy's `stdtrit`), is computed when it is constructed;
-    so `df` is a plain number and has no derivative.
+    `df` is a plain number without a derivative: a table of the quantile function, to a relative 1e-9 (from SciPy's
+    `stdtrit`), is a constant of each program.
     """
 
-    df: float = eqx.field(static=True)
-    table: Any
+    df: Any = eqx.field(static=True)
 
-    def __init__(self, df: Any) -> None:
+    def __check_init__(self) -> None:
+        df: Any = self.df
         known = isinstance(df, int | float | np.integer | np.floating) and not isinstance(df, bool)
         if not known or not LEAST <= df < math.inf:
             raise ValueError(
                 f"df of StudentT, its degrees of freedom, must be a plain number of at least {LEAST:g}; got {df!r}."
             )
-        self.df = float(df)
-        self.table = _table(self.df)
 
     @property
     def words(self) -> str:
@@ -55,7 +53,7 @@ class StudentT(AbstractDistribution):
         return math.sqrt(self.df / (self.df - 2.0))
 
     def standardised(self, normal: Numbers) -> Numbers:
-        values = interpolate(jnp.asarray(self.table), normal)
+        values = interpolate(jnp.asarray(_table(float(self.df))), normal)
         return values if self.df <= 2.0 else values / self.per_scale
 
     @property
@@ -68,10 +66,11 @@ class StudentT(AbstractDistribution):
 
     @property
     def finite_orders(self) -> float:
-        return self.df
+        return float(self.df)
 
 
-def _table(df: float) -> Float[np.ndarray | Array, "parts 6"]:
+@functools.lru_cache(maxsize=16)
+def _table(df: float) -> np.ndarray:
     normal = nodes(PARTS)
     tail = scipy.special.ndtr(-np.abs(normal))
     value = np.sign(normal) * -scipy.special.stdtrit(df, tail)
