@@ -120,8 +120,8 @@ def sigma_points_of(axes: int, order: AxisMoments | None = None) -> Float[Array,
     if order is not None:
         ahead, behind = order.nodes
         return jnp.concatenate([jnp.zeros((1, axes)), jnp.diag(ahead), -jnp.diag(behind)])
-    ahead = SPREAD * np.eye(axes)
-    return jnp.asarray(np.concatenate([np.zeros((1, axes)), ahead, -ahead]))
+    spread = SPREAD * np.eye(axes)
+    return jnp.asarray(np.concatenate([np.zeros((1, axes)), spread, -spread]))
 
 
 @quick_filter_jit
