@@ -28,7 +28,7 @@ class Empirical(AbstractDistribution):
     >>> from jaxgeo.uncertainty.distributions import Empirical
     >>> found = Empirical.of_residuals([-0.2, 0.1, 0.0, 0.3, -0.1, 1.9])
     >>> print(f"{found.mean:.3f} {found.standard_deviation:.3f}")
-    0.333 0.701
+    0.333 0.665
     """
 
     probabilities: Any
@@ -38,8 +38,8 @@ class Empirical(AbstractDistribution):
     def of_residuals(cls, residuals: ArrayLike | Sequence[ArrayLike]) -> Empirical:
         """From measured residuals (n,), at least 2: number i in order has the probability (i - 1/2) / n.
 
-        This is the distribution of JCGM 101:2008, 7.5.1 and D, closed by the smallest and the largest residual. Raises
-        `ValueError` for fewer, or values that are not finite.
+        This is the distribution of JCGM 101:2008, 7.5, closed by the smallest and the largest residual; of few of them
+        its standard deviation is smaller than theirs. Raises `ValueError` for fewer, or values that are not finite.
         """
         given: Any = as_float64(as_array(residuals, "residuals"), "residuals")
         check_finite(given, "residuals", "one unit")
