@@ -61,7 +61,8 @@ def accuracy(
     profile along the line of sight with its ridges and unseen gaps, and edges and voids within the errors' range. If
     linear propagation over the facet agrees with footprint and profile, it is used; otherwise that over the footprint,
     if it agrees with the profile. If neither is valid, or the ground cannot be probed, samples are drawn as `sampling`
-    says (default: 20 000; of many pixels 2000 each).
+    says (default: 20 000; of many pixels 2000 each). Linear propagation uses the variance of errors that
+    are not normal: see `note`, and `sample` for their distribution.
 
     - Many pixels of one exposure: `uv` (..., 2); the result has the shape of the pixels.
     - Many exposures: `in_axes`, as for `jax.vmap`, is 0 for each of (sensor, shot, uv, terrain, errors), or of

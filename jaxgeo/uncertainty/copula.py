@@ -31,8 +31,8 @@ def normal_correlation(correlation: Square, shapes: Sequence[Shape]) -> tuple[Sq
 
     Errors q_i(z_i), q_j(z_j) of normal numbers with correlation r have the correlation sum_k c_ik c_jk r^k, with c the
     coefficients of q in normalised Hermite polynomials (Liu and Der Kiureghian 1986, "Multivariate distribution models
-    with prescribed marginals and covariances"). It increases with r, and is solved by bisection. To about 1e-4; exact
-    between normal errors, and between a normal and another one.
+    with prescribed marginals and covariances"). It increases with r, and is solved by bisection. To 2e-4; to 1e-9
+    between a normal axis and another one, and for smooth quantile functions.
     """
     terms = jnp.stack([_expansion(shape) for shape in shapes])
     both = terms[:, None, :] * terms[None, :, :]

@@ -25,6 +25,7 @@ from jaxgeo.uncertainty.distributions import AbstractDistribution, Arcsine, Tria
 
 __all__ = ["Stated", "circular_error", "linear_error", "plus_minus", "rms", "spherical_error"]
 
+LEAST = 1e-6  # smaller factors and probabilities are mistakes
 LIMITS = {"uniform": (3.0, Uniform), "triangular": (6.0, Triangular), "arcsine": (2.0, Arcsine)}
 
 
@@ -59,8 +60,8 @@ def plus_minus(half_width: Any, *, kind: str | None = None, sigmas: Any = None, 
     if coverage is not None:
         return Stated(a / _normal_radius(_probability(coverage, "coverage")))
     times = _number(sigmas, "sigmas")
-    if times == 0.0:
-        raise ValueError("sigmas must be positive, such as 2 for an accuracy of 2 sigma; got 0.")
+    if times < LEAST:
+        raise ValueError(f"sigmas must be positive, such as 2 for an accuracy of 2 sigma; got {sigmas!r}.")
     return Stated(a / times)
 
 
@@ -105,8 +106,8 @@ def rms(value: Any, *, axes: int | None = None, times: Any = 1.0) -> Stated:
     """
     a = _number(value, "value")
     factor = _number(times, "times")
-    if factor == 0.0:
-        raise ValueError("times must be positive, such as 2 for 2DRMS; got 0.")
+    if factor < LEAST:
+        raise ValueError(f"times must be positive, such as 2 for 2DRMS; got {times!r}.")
     if axes is None:
         readings = "; ".join(f"axes={n}: sigma {a / factor / math.sqrt(n):.4g} of each axis" for n in (1, 2, 3))
         raise ValueError(
@@ -144,6 +145,6 @@ def _number(value: Any, name: str) -> float:
 
 
 def _probability(value: Any, name: str = "probability") -> float:
-    if not isinstance(value, int | float | np.floating) or not 0.0 < value < 1.0:
+    if not isinstance(value, int | float | np.floating) or not LEAST <= value <= 1.0 - LEAST:
         raise ValueError(f"{name} must lie between 0 and 1, such as 0.9; got {value!r}.")
     return float(value)

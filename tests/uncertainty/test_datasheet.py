@@ -83,6 +83,8 @@ def test_ambiguous_words_are_refused_with_their_readings(words: Any, readings: t
         (lambda: plus_minus(0.1, kind="uniform", sigmas=2), "has limits: sigmas and coverage go with"),
         (lambda: plus_minus(0.1, kind="normal", sigmas=0), "sigmas must be positive"),
         (lambda: plus_minus(0.1, kind="normal", coverage=95), "coverage must lie between 0 and 1"),
+        (lambda: plus_minus(0.1, kind="normal", coverage=1e-17), "coverage must lie between 0 and 1"),
+        (lambda: plus_minus(0.1, kind="normal", sigmas=1e-300), "sigmas must be positive"),
         (lambda: circular_error(1.5, probability=50), "probability must lie between 0 and 1"),
         (lambda: circular_error(-1.5, probability=0.5), "radius must be a finite number of at least 0"),
         (lambda: rms(1.0, axes=4), "axes must be 1, 2 or 3"),

@@ -50,6 +50,7 @@ TABLE = {
     "Laplace": Row(Laplace(), scipy.stats.laplace()),
     "t5": Row(StudentT(5), scipy.stats.t(5)),
     "t2.5": Row(StudentT(2.5), scipy.stats.t(2.5), 1e-9),
+    "t1e6": Row(StudentT(1e6), scipy.stats.t(1e6), 1e-10),
     "t1": Row(StudentT(1), scipy.stats.cauchy(), 1e-9),
     "two limits": Row(TruncatedNormal(-1.0, 2.0), scipy.stats.truncnorm(-1.0, 2.0)),
     "half normal": Row(TruncatedNormal(0.0, math.inf), scipy.stats.halfnorm()),
@@ -214,8 +215,8 @@ def test_no_distributions_are_refused(distribution: Any) -> None:
         checked_model((UP(1.0, distribution=distribution),), _level_inputs())
 
 
-@pytest.mark.parametrize("df", [0.5, -3.0, math.inf, math.nan, "5", True])
-def test_degrees_of_freedom_are_numbers_from_one_on(df: Any) -> None:
+@pytest.mark.parametrize("df", [0.5, -3.0, 1e7, math.inf, math.nan, "5", True])
+def test_degrees_of_freedom_are_numbers_from_one_to_a_million(df: Any) -> None:
     with pytest.raises(ValueError, match="df of StudentT, its degrees of freedom, must be a plain number"):
         StudentT(df)
 
@@ -262,6 +263,19 @@ def test_correlations_of_normal_numbers_are_the_known_ones() -> None:
         assert float(found[0, 2]) == pytest.approx(r * math.sqrt(math.pi / 3.0), abs=1e-9)
         assert float(high[1, 2]) == pytest.approx(math.sqrt(3.0 / math.pi), abs=1e-9)
         assert float(low[0, 1]) == pytest.approx(-1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "one, other, r", [(Arcsine(), Laplace(), 0.6), (TABLE["outliers"].ours, TABLE["outliers"].ours, 0.9)]
+)
+def test_errors_have_the_stated_correlation(one: AbstractDistribution, other: AbstractDistribution, r: float) -> None:
+    """By quadrature over both normal numbers."""
+    found = float(normal_correlation(jnp.array([[1.0, r], [r, 1.0]]), (one, other))[0][0, 1])
+    nodes = np.linspace(-8.0, 8.0, 801)
+    weights = np.exp(-0.5 * nodes**2) / np.sum(np.exp(-0.5 * nodes**2))
+    second = found * nodes[:, None] + math.sqrt(1.0 - found**2) * nodes[None, :]
+    product = values(one.prepared(), nodes)[:, None] * values(other.prepared(), second)
+    assert weights @ product @ weights == pytest.approx(r, abs=2e-4)
 
 
 @functools.cache

@@ -16,11 +16,12 @@ from jaxgeo.uncertainty.distributions.base import AbstractDistribution
 from jaxgeo.uncertainty.distributions.table import interpolate, nodes, polynomials
 
 PARTS = 2048
+MOST = 1e6  # degrees of freedom; the distribution is normal to 1e-5
 LEAST = 1.0  # degrees of freedom; with fewer, values at the edge of the table exceed 1e17
 
 
 class StudentT(AbstractDistribution):
-    """Student's t with `df` degrees of freedom, a number of 1 or more: heavy tails, or a sigma from few repetitions.
+    """Student's t with `df` degrees of freedom, a number from 1 to 10^6: heavy tails, or a sigma from few repetitions.
 
     With more than 2 degrees of freedom it is scaled to a standard deviation of one. With 2 or fewer there is no
     standard deviation: `sigma` of the source is the scale s of t(m, s^2), errors can only be sampled, and linear
@@ -36,9 +37,9 @@ class StudentT(AbstractDistribution):
     def __check_init__(self) -> None:
         df: Any = self.df
         known = isinstance(df, int | float | np.integer | np.floating) and not isinstance(df, bool)
-        if not known or not LEAST <= df < math.inf:
+        if not known or not LEAST <= df <= MOST:
             raise ValueError(
-                f"df of StudentT, its degrees of freedom, must be a plain number of at least {LEAST:g}; got {df!r}."
+                f"df of StudentT, its degrees of freedom, must be a plain number, {LEAST:g} to {MOST:g}; got {df!r}."
             )
 
     @property
