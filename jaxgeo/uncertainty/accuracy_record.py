@@ -18,7 +18,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.uncertainty.host_arrays import take
 from jaxgeo.uncertainty.linear import Propagation
-from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, explain_method
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, explain_method, select_method
 from jaxgeo.uncertainty.sampled import Sampled
 
 
@@ -97,7 +97,7 @@ class Accuracy(OldNames, Record):
         Raises `ValueError` for many fixes: take one, `found[3].because`.
         """
         code = int(np.asarray(self._one("because").method))
-        return None if code == NO_FIX else _with_note(explain_method(self.diagnostics, Method(code)), code, self.note)
+        return None if code == NO_FIX else _because(self.diagnostics, Method(code), self.note)
 
     def level(self) -> float:
         """The probability common to all radii; host only. Raises `ValueError` if there are several."""
@@ -152,13 +152,21 @@ def reasons(accuracy: Accuracy) -> list[str | None]:
     rows = np.stack([np.asarray(one) for one in accuracy.diagnostics], axis=-1).tolist()
     codes = np.asarray(accuracy.method).tolist()
     return [
-        None if code == NO_FIX else _with_note(explain_method(Diagnostics(*row), Method(code)), code, accuracy.note)
+        None if code == NO_FIX else _because(Diagnostics(*row), Method(code), accuracy.note)
         for code, row in zip(codes, rows, strict=True)
     ]
 
 
-def _with_note(because: str, code: int, note: str | None) -> str:
-    return because if note is None or code == Method.samples else f"{because} {note}"
+def _because(diagnostics: Diagnostics, method: Method, note: str | None) -> str:
+    """Why a method was selected, with the `note` on errors that are not normal."""
+    if note is None:
+        return explain_method(diagnostics, method)
+    by_ground = Method(int(select_method(diagnostics)))
+    if method is not Method.samples:
+        return f"{explain_method(diagnostics, method)} {note}"
+    if by_ground is Method.samples:
+        return explain_method(diagnostics, method)
+    return f"The error of the fix is far from normal. {note}"
 
 
 def batch_of(

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
+from jaxgeo._typing import Index, IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnosed, Diagnostics, Method, diagnose, select_method
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.normality import is_nearly_normal
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 
 
@@ -31,11 +32,20 @@ def assess_fix(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> L
 def select_linear(found: Diagnosed, nominal: NominalFix) -> LinearAccuracy:
     """Method selected by diagnostics."""
     diagnostics, facet, footprint, _ = found
-    method = select_method(diagnostics)
+    method = method_of(found)
     either = lambda a, b: jnp.where(method == Method.footprint, b, a)  # noqa: E731
     cov, bias = either(facet.cov_enu, footprint.cov_enu), either(facet.bias_enu, footprint.bias_enu)
     method = jnp.where(counts_as_fix(jnp.asarray(nominal.fix.status)), method, NO_FIX)
     return LinearAccuracy(method, cov, bias, diagnostics)
+
+
+def method_of(found: Diagnosed) -> Index:
+    """The method selected by diagnostics: samples also where the error of the fix is not nearly normal."""
+    method = select_method(found.diagnostics)
+    if found.facet.model.is_normal:
+        return method
+    normal = jnp.where(method == Method.footprint, is_nearly_normal(found.footprint), is_nearly_normal(found.facet))
+    return jnp.where(normal, method, Method.samples.value)
 
 
 def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:

@@ -32,6 +32,7 @@ from jaxgeo.uncertainty.distributions import (
     Uniform,
 )
 from jaxgeo.uncertainty.model import checked_model
+from jaxgeo.uncertainty.normality import is_nearly_normal
 from tests.support import looks
 
 
@@ -279,7 +280,7 @@ def test_errors_have_the_stated_correlation(one: AbstractDistribution, other: Ab
 
 
 @functools.cache
-def drawn_block(count: int = 2**17) -> tuple[ErrorModel, np.ndarray]:
+def drawn_block(count: int = 2**16) -> tuple[ErrorModel, np.ndarray]:
     """A block of correlated axes with a distribution each, and errors drawn from it."""
     block = sources.Correlated.of(
         sources.Position.from_ned(north=1.0, east=2.0, down=3.0, distribution=(Uniform(), None, Laplace())),
@@ -373,27 +374,55 @@ def _scene(*errors: Any) -> tuple[Any, ...]:
 
 
 def test_linear_propagation_uses_the_variance_and_says_so() -> None:
-    normal = jaxgeo.propagate(*_scene(UP(2.0), sources.GimbalAngles.from_degrees(outer=0.1, inner=0.1)))
     shaped = jaxgeo.propagate(
         *_scene(
             UP(2.0, distribution=Laplace()),
             sources.GimbalAngles.from_degrees(outer=0.1, inner=0.1, distribution=(Uniform(), None)),
         )
     )
-    np.testing.assert_allclose(shaped.cov_enu, normal.cov_enu, rtol=1e-12)
-    assert normal.note is None
+    normal = ErrorModel((UP(2.0), sources.GimbalAngles.from_degrees(outer=0.1, inner=0.1)))
+    np.testing.assert_allclose(shaped.cov_error, normal.covariance(), rtol=1e-12)
+    np.testing.assert_allclose(shaped.cov_enu, shaped.jacobian @ normal.covariance() @ shaped.jacobian.T, atol=1e-9)
+    assert normal.left_out is None
     assert shaped.note == (
         "Linear propagation uses the variance of 2 sources that are not normal: terrain height (Laplace), gimbal "
         "angles (uniform, normal); samples use the distribution."
     )
     assert shaped.note in str(un.budget(shaped))
     assert un.budget(shaped).to_dict()["note"] == shaped.note
-    assert "note" not in un.budget(normal).to_dict()
+
+
+def _linear(distribution: Any, others: float) -> un.Propagation:
+    """Linear propagation of one height with a distribution, and a normal one, in a view straight down."""
+    model = as_float64(ErrorModel((UP(1.0, distribution=distribution), UP(others))), "errors")
+    nominal = _level_inputs().nominal_fix(jaxgeo.FirstHit())
+    up = jnp.array([[0.2, 0.2], [0.5, 0.5], [1.0, 1.0]])
+    cov = model.covariance()
+    surface = un.slopes.Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (0.0, 0.0, 1.0)))
+    return un.Propagation(nominal.fix, up, cov, up @ cov @ up.T, jnp.zeros(3), surface, nominal, model)
+
+
+@pytest.mark.parametrize(
+    "distribution, others, expected",
+    [
+        (Uniform(), 0.2, False),
+        (Uniform(), 0.4, True),
+        (Laplace(), 0.7, False),
+        (Laplace(), 1.0, True),
+        (StudentT(4), 10.0, False),
+        (TruncatedNormal(0.0, math.inf), 0.1, False),
+        (TruncatedNormal(0.0, math.inf), 2.0, True),
+        (Mixture.of_outliers(share=0.05, times=10.0), 1.0, False),
+        (None, 1.0, True),
+    ],
+)
+def test_few_errors_far_from_normal_leave_a_fix_normal(distribution: Any, others: float, expected: bool) -> None:
+    assert bool(is_nearly_normal(_linear(distribution, others))) is expected
 
 
 @pytest.mark.slow
 def test_accuracy_says_what_it_left_out() -> None:
-    scene = _scene(UP(2.0, distribution=Uniform()))
+    scene = _scene(UP(2.0, distribution=Uniform()), sources.Geoid.from_metres(2.0))
     found = jaxgeo.accuracy(*scene, sampling=None)
     assert "1 source that is not normal: terrain height (uniform)" in str(found)
     assert found.because is not None
@@ -403,6 +432,23 @@ def test_accuracy_says_what_it_left_out() -> None:
     assert many[0].because == found.because
     assert str(many).endswith(str(found.note))
     assert jaxgeo.accuracy(*_scene(UP(2.0)), sampling=None).note is None
+
+
+@pytest.mark.slow
+def test_accuracy_draws_samples_of_errors_far_from_normal() -> None:
+    scene = _scene(UP(2.0, distribution=StudentT(3)))
+    found = jaxgeo.accuracy(*scene, sampling=Sampling(count=32_000, draws=Sobol()))
+    assert found.words == "samples"
+    assert str(found.because).startswith("The error of the fix is far from normal. Linear propagation uses")
+    exact = 2.0 * float(scipy.stats.t(3).ppf(0.95)) / math.sqrt(3.0)  # of a normal error: 3.29 m
+    assert float(found.linear) == pytest.approx(exact, rel=0.01)
+    many = jaxgeo.accuracy(*scene[:2], np.array([looks.LEVEL_UV] * 2), *scene[3:], sampling=None)
+    assert np.all(np.isnan(many.linear))
+    assert many[0].because == found.because
+    each = jaxgeo.accuracy(
+        *scene[:2], np.array([looks.LEVEL_UV] * 2), *scene[3:], in_axes=(None, None, 0, None, None), sampling=None
+    )
+    np.testing.assert_array_equal(each.method, many.method)
 
 
 def test_a_tuple_of_normal_axes_is_normal() -> None:
