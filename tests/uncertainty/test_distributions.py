@@ -388,8 +388,16 @@ def test_linear_propagation_uses_the_variance_and_says_so() -> None:
         "Linear propagation uses the variance of 2 sources that are not normal: terrain height (Laplace), gimbal "
         "angles (uniform, normal); samples use the distribution."
     )
-    assert shaped.note in str(un.budget(shaped))
-    assert un.budget(shaped).to_dict()["note"] == shaped.note
+
+
+@pytest.mark.slow
+def test_budgets_say_what_they_left_out() -> None:
+    propagation = jaxgeo.propagate(*_scene(UP(2.0, distribution=Laplace())))
+    found = un.budget(propagation)
+    assert found.note == propagation.note
+    assert str(found).endswith(str(propagation.note))
+    assert found.to_dict()["note"] == propagation.note
+    assert "note" not in un.budget(jaxgeo.propagate(*_scene(UP(2.0)))).to_dict()
 
 
 def _linear(distribution: Any, others: float) -> un.Propagation:
