@@ -279,7 +279,7 @@ def skip_ahead(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> 
     is_walking = ~walker.fresh & ~walker.is_over
     entered = has_entered(walker.news)
 
-    def move(_: Index, here: Int[Array, " rays"]) -> Int[Array, " rays"]:
+    def move(_: Index | int, here: Int[Array, " rays"]) -> Int[Array, " rays"]:
         return jax.vmap(lambda here, stretch, entered: advance(here, stretch, dem, entered, NO_SPREAD))(
             here, stretch, entered
         )
