@@ -312,7 +312,7 @@ def ortho(bench: Bench) -> list[Table]:
     image = np.random.default_rng(0).integers(1, 255, (3, rows, cols), np.uint8)
     terrain, side = bench.job.terrain, bench.cells
     centre = jaxgeo.Geodetic(lat=terrain.lat, lon=terrain.lon, height=0.0)
-    grid = TangentGrid.centred(centre, spacing=(9000.0 / side,) * 2, shape=(side, side))
+    grid = TangentGrid.centred(centre, spacing=(9000.0 / side, 9000.0 / side), shape=(side, side))
 
     def made(place: Any, side: int = side, **options: Any) -> Any:
         with jax.default_device(place):
@@ -394,11 +394,17 @@ def main() -> None:
     parser.add_argument("--json", type=pathlib.Path)
     o = parser.parse_args()
     place = jax.devices(o.device)[0]
-    usual = (100_000_000, 1_000_000_000, CELLS, (50, 400, 1300)) if o.full else (100_000, 1_000_000, FEW_CELLS, (50,))
-    blocks = tuple(int(images) for images in o.blocks.split(",")) if o.blocks else None
-    given = (o.largest, o.samples, o.cells, blocks)
-    full = [chosen or most for chosen, most in zip(given, usual, strict=True)]
-    bench = Bench(place, o.repeats, *full, o.cache, time.monotonic() + o.seconds)
+    blocks = o.blocks or ("50,400,1300" if o.full else "50")
+    bench = Bench(
+        place=place,
+        repeats=o.repeats,
+        largest=o.largest or (100_000_000 if o.full else 100_000),
+        samples=o.samples or (1_000_000_000 if o.full else 1_000_000),
+        cells=o.cells or (CELLS if o.full else FEW_CELLS),
+        blocks=tuple(int(images) for images in blocks.split(",")),
+        cache=o.cache,
+        end=time.monotonic() + o.seconds,
+    )
     record = {"machine": measuring.machine(), "device": place.device_kind, "tables": []}
     print(f"{place.device_kind}; jax {jax.__version__}; {record['machine']['processor']}\n", flush=True)
     for make in (lambda bench: [bandwidth(bench)], *(PARTS[name] for name in o.only.split(","))):
