@@ -224,6 +224,7 @@ def test_no_row_is_lost_on_the_screen(flight: pathlib.Path, output_format: str) 
     assert "damaged or cut short" in rows[2]["status_text"]
 
 
+@pytest.mark.slow
 def test_files_and_folders_on_one_line(flight: pathlib.Path, tmp_path: pathlib.Path) -> None:
     """Each file once, whatever kind it is of; names that are twice become paths."""
     other = image(tmp_path, "a.jpg", GpsLatitude="+36.33")
@@ -239,6 +240,7 @@ def test_files_and_folders_on_one_line(flight: pathlib.Path, tmp_path: pathlib.P
     assert told["inputs"]["files"] == [str(one) for one in (other, video, flight / "b.jpg", flight)]
 
 
+@pytest.mark.slow
 def test_pixels_and_exposures_of_many_images(flight: pathlib.Path) -> None:
     pixels = ["--pixel", "10,10", "--pixel", "70,50"]
     result = run("locate", flight, *GROUND, "--no-accuracy", "--json", *pixels, "--exposure", "d.jpg")

@@ -82,6 +82,7 @@ def _in_a_process(**environment: str) -> list[Any]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_second_process_reads_the_programs_of_the_first(tmp_path: pathlib.Path) -> None:
     folder, value, read, used = _in_a_process(JAXGEO_CACHE_DIR=str(tmp_path))
     assert pathlib.Path(folder).parent == tmp_path

@@ -173,6 +173,7 @@ def mean_height(rays, posts, rowcol0):
     return jnp.sum(jnp.where(fix.ok, fix.position.height, 0.0)) / jnp.maximum(jnp.sum(fix.ok), 1), fix.status
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_rays_do():
     posts = rough(4)
     posts[8, 11] = np.nan

@@ -121,6 +121,7 @@ def test_locate_and_project_are_inverse() -> None:
     np.testing.assert_allclose(jaxgeo.project(exposure, fix.position).uv, UV, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_batch_of_observations_under_vmap() -> None:
     pixels = jnp.array([[1200.0, 1600.0], [100.0, 3100.0], [2399.0, 0.0]])
     headings = jnp.array([0.0, 0.1, 0.2])
@@ -133,6 +134,7 @@ def test_a_batch_of_observations_under_vmap() -> None:
         np.testing.assert_allclose(many[k], jaxgeo.locate(SENSOR, shot, pixels[k], GROUND).ecef, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_derivative_by_the_exposure() -> None:
     def north(exposure: Exposure) -> jax.Array:
         return jnp.asarray(jaxgeo.locate(Observation(exposure, UV), GROUND).position.lat)

@@ -119,6 +119,7 @@ def made() -> dict[str, Any]:
     return results()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", range(2, pickle.HIGHEST_PROTOCOL + 1))
 def test_pickles_give_the_same_bits(made: dict[str, Any], protocol: int) -> None:
     for name, record in made.items():

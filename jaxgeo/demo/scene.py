@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import long_run_jit
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._locate import locate, project
 from jaxgeo._numerics import safe_angle, safe_norm
 from jaxgeo._record import Record
@@ -93,7 +93,10 @@ def make_demo() -> Demo:
     with ThreadPoolExecutor() as pool:  # XLA compiles the parts in parallel
         posts = pool.submit(_posts_in_image, sensor, shot, dem)
         section = pool.submit(_section_under_axis, sensor, shot, dem)
-        errors = pool.submit(_errors, sensor, shot, grid[DOUBTED], dem, scene.errors)
+        doubted = (sensor, shot, grid[DOUBTED], dem, scene.errors)
+        compared = pool.submit(compare, *doubted, sampling=Sampling(count=SAMPLES, chunk=SAMPLES))
+        trusted = pool.submit(accuracy, *doubted, sampling=Sampling(count=SAMPLES))
+        shares = pool.submit(_budget, *doubted)
         fix = located(sensor, shot, uv, dem)
         return Demo(
             title=scene.title,
@@ -108,7 +111,7 @@ def make_demo() -> Demo:
             view=_part(fix, m + 1, len(uv), VIEW),
             hidden=_hidden(sensor, shot, dem, *posts.result()),
             section=section.result(),
-            errors=errors.result(),
+            errors=Errors(DOUBTED, compared.result(), trusted.result(), shares.result()),
         )
 
 
@@ -136,7 +139,7 @@ def _posts_in_image(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, n
     return posts[ok], uv[ok], distance[ok]
 
 
-@long_run_jit
+@batch_filter_jit
 def _projected(sensor: Sensor, shot: Shot, dem: Dem, posts: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     def project_one(rowcol: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         post = _post(dem, *rowcol)
@@ -161,7 +164,7 @@ def _section_under_axis(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarra
     return distance, sight, ground, off_nadir < highest - 1e-6
 
 
-@long_run_jit
+@quick_filter_jit
 def _section(sensor: Sensor, shot: Shot, dem: Dem, ranges: jax.Array) -> tuple[jax.Array, ...]:
     origin, direction, _ = sensor.ray_ecef(shot, _middle(sensor.camera))
     down = -WGS84.normal_and_height(origin)[0]
@@ -203,12 +206,8 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
     return jax.tree.map(lambda leaf: leaf[start:stop].reshape(*shape, *leaf.shape[1:]), fix)
 
 
-def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorModel) -> Errors:
-    """Accuracy of the fix of a pixel, by every method."""
-    scene = (sensor, shot, uv, dem)
-    compared = compare(*scene, model, sampling=Sampling(count=SAMPLES, chunk=SAMPLES))
-    trusted = accuracy(*scene, model, sampling=Sampling(count=SAMPLES))
-    return Errors(DOUBTED, compared, trusted, budget(propagate(*scene, model, slope=Footprint())))
+def _budget(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorModel) -> Budget:
+    return budget(propagate(sensor, shot, uv, dem, model, slope=Footprint()))
 
 
 def sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:

@@ -17,9 +17,9 @@ from jaxgeo.io.accuracy_map import bands_of, tags_of
 from jaxgeo.io.errors import WindowTooLarge
 from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.ground_of_image import POSTS, load_window, window_of_image
-from jaxgeo.io.located_over_files import LARGEST, SIDE, SMALLEST, WIDER, check_straight, reaches_beyond
+from jaxgeo.io.located_over_files import LARGEST, SMALLEST, WIDER, check_straight, reaches_beyond
 from jaxgeo.io.map_raster import MapRaster, raster_of, terrain_spacing
-from jaxgeo.io.windows import Bounds, Window
+from jaxgeo.io.windows import Bounds, Window, square_shape
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
@@ -142,8 +142,8 @@ def _ground_of(
     lat, lon = np.asarray(ground.lat), np.asarray(ground.lon)
     area = files.window_of_places(np.degrees(lon), np.degrees(lat))
     if area is None:  # outside the mosaic
-        return load_window(files, Window(0, 0, 2, 2), False, "the map", max_posts, SIDE), True
-    dem = load_window(files, area, False, "the ground of the map", max_posts, SIDE)
+        return load_window(files, Window(0, 0, 2, 2), False, "the map", max_posts, square_shape), True
+    dem = load_window(files, area, False, "the ground of the map", max_posts, square_shape)
     context, _, request = checked_map(sensor, shot, dem, errors, **how)
     cells = projected(lat, lon, context, request)
     seen = np.flatnonzero(cells.status == Status.hit)
@@ -155,7 +155,7 @@ def _ground_of(
         window = files.wider(area, posts) if window is None else window
         if not files.too_large(window, max_posts):
             is_largest = posts == POSTS or window.shape == files.shape
-            return load_window(files, window, whole, "the map", max_posts, SIDE), is_largest
+            return load_window(files, window, whole, "the map", max_posts, square_shape), is_largest
     raise files.refuse(window, max_posts, "lines of sight to the map's ground")
 
 

@@ -80,16 +80,16 @@ def window_of_image(
     return path, window, whole
 
 
-def load_window(files: DemFiles, window: Window, whole: bool, name: str, max_posts: int, side: int = 0) -> Dem:
-    """A window as a `Dem`, in arrays of a size that depends on the window only, of `side` posts or more.
+def load_window(
+    files: DemFiles, window: Window, whole: bool, name: str, max_posts: int, sizes: Any = padded_shape
+) -> Dem:
+    """A window as a `Dem`, in arrays of a size that depends on the window only: `sizes` of its (rows, cols).
 
     Raises `WindowTooLarge`.
     """
     if files.too_large(window, max_posts):
         raise files.refuse(window, max_posts, name)
-    rows, cols = padded_shape(window.shape)
-    size = max(rows, side), max(cols, side)
-    return files.load(window, whole_ceiling=whole, max_posts=max_posts, size=size)
+    return files.load(window, whole_ceiling=whole, max_posts=max_posts, size=sizes(window.shape))
 
 
 def _places(name: str, raster: MapRaster) -> tuple[np.ndarray, np.ndarray]:

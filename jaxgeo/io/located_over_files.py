@@ -19,7 +19,7 @@ from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.locate_on_disk import no_answers, windows_of
 from jaxgeo.io.located import CHUNKS, accuracy_of_observations, locate_observations, spread, take_rows
 from jaxgeo.io.observations import ObservationBatch, Observations, axes_of
-from jaxgeo.io.windows import Window, padded_shape
+from jaxgeo.io.windows import Window, square_shape
 from jaxgeo.observation import Observation
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
@@ -28,8 +28,7 @@ from jaxgeo.uncertainty import Accuracy
 WIDER = 4  # times the margin, if errors may reach its edge
 SMALLEST, LARGEST = 250.0, 20_000.0  # m: margins between which it grows
 REACH = 5.0  # times the larger of CE and LE: how far errors reach
-# One program for nearly all windows and numbers of rows: posts of a side, and rows, to which fewer are padded.
-SIDE, FEWEST = 1024, 17
+FEWEST = 17  # rows, to which fewer are padded: one program for nearly all numbers of rows
 AWAY = np.array([1.0, 0.0, 0.0])
 
 
@@ -156,8 +155,7 @@ def _answers(
         wider = _wider(rays, rows, files, window, margin)
         is_too_large = wider != window and files.too_large(wider, max_posts)
         taken = window if is_too_large else wider
-        size: Any = tuple(max(side, SIDE) for side in padded_shape(taken.shape))
-        dem = files.load(taken, whole_ceiling=whole, max_posts=max_posts, size=size)
+        dem = files.load(taken, whole_ceiling=whole, max_posts=max_posts, size=square_shape(taken.shape))
         some = observed.part(0, np.concatenate([rows, np.repeat(rows[-1:], max(FEWEST - len(rows), 0))]))
         fixes = locate_observations(some, dem)
         if options is None:

@@ -17,6 +17,7 @@ _ALONG_EDGE = 721
 _INSIDE = 33
 _SMALLEST = 256
 _LARGEST_SQUARE = 1024
+_SQUARES = 1024, 2048
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +95,12 @@ def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
     except ValueError:
         return shape
     return padded
+
+
+def square_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """The padded array size where windows are many: a square of 1024 or 2048 for all up to it."""
+    side = next((side for side in _SQUARES if side >= max(shape)), None)
+    return padded_shape(shape) if side is None else (side, side)
 
 
 def _padded_shape(shape: tuple[int, int]) -> tuple[int, int]:

@@ -71,10 +71,10 @@ def accuracy(
       batches too.
     - `sampling=None` draws nothing and works under `jit`, `vmap` and derivatives: figures that need samples are NaN.
 
-    Of many fixes `block` are evaluated at a time, which bounds the memory, and all are sampled with the same key. A
-    missing fix raises `ValueError` if there is one observation and `sampling`; otherwise it has a status, and NaN.
-    Raises as `propagate`; `ValueError` for a probability outside (0, 1) and unequal batches; `TypeError` if samples
-    would have to be drawn under `jit` or `vmap`.
+    Of many pixels `block` are evaluated at a time, which bounds the memory, and of many exposures at most 16; all are
+    sampled with the same key. A missing fix raises `ValueError` if there is one observation and `sampling`; otherwise
+    it has a status, and NaN. Raises as `propagate`; `ValueError` for a probability outside (0, 1) and unequal batches;
+    `TypeError` if samples would have to be drawn under `jit` or `vmap`.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)

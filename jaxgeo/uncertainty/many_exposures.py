@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._checks import as_array, as_float64, is_known
-from jaxgeo._compile import long_run_filter_jit, quick_filter_jit
+from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
@@ -22,7 +23,7 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
 
-FEW = 16  # block size for few fixes; only the sizes 16 and `block` are compiled, once each
+AT_ONCE = 16  # exposures of a block on a CPU, at most: more are not faster, and one size is compiled
 NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
 OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
 
@@ -61,7 +62,7 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     if number == 1:
         assessed: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
     else:
-        size = FEW if number <= FEW < request.block else request.block
+        size = min(request.block, by_device(AT_ONCE, request.block))
         parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
         assessed = concatenate([_assess_block(part, *options) for part in parts], number)
     nominals, found, radii = assessed
@@ -147,7 +148,7 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
 _select_linear = quick_filter_jit(select_linear)
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _assess_block(
     lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
 ) -> Assessed:

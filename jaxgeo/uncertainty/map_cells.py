@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit, long_run_filter_jit
 from jaxgeo._locate import project
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Flag, Scalar, StatusCode
@@ -110,7 +110,7 @@ def locate_cells(
     return jax.vmap(one)(cells)
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def assess_cells(cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel) -> LinearAccuracy:
     """Accuracy of cells by linear propagation."""
     return jax.vmap(lambda cell, nominal: assess_fix(context.inputs(cell), nominal, model))(cells, nominals)

@@ -26,6 +26,7 @@ from jaxgeo.uncertainty._budget import source_names
 from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
     FixOffsets,
+    block_size,
     common_ground,
     in_blocks,
     offsets_of_lines,
@@ -290,7 +291,7 @@ def offsets_of(
         lines = perturbed_lines(plan.model, plan.inputs, places, (error_of,), normals)
         return offsets_of_lines(plan.nominal, search, lines, common)
 
-    offset, status = in_blocks(some, normals, BLOCK)
+    offset, status = in_blocks(some, normals, block_size())
     return offset, counts_as_fix(status)
 
 

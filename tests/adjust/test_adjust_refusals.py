@@ -299,6 +299,7 @@ def test_what_is_not_held_because_no_point_joins_it(words: Any) -> None:
     assert "No point joins the 2 parts of the block (10 images, image i00 among them; 5 images, image i10" in said
 
 
+@pytest.mark.slow
 def test_control_of_two_points_leaves_a_turn(words: Any) -> None:
     of = simulated()
     block = of.block(control=of.control(names=CONTROL[:2]), sigma_position=np.inf, sigma_attitude=np.inf)
@@ -319,6 +320,7 @@ def test_shifts_of_all_strips_without_control(words: Any) -> None:
     assert "Fix some of it, or give priors" in said
 
 
+@pytest.mark.slow
 def test_reliability_levels(words: Any) -> None:
     found = adjust(simulated().block())
     for alpha in (0.0, 1.0, -0.1, np.nan):

@@ -134,6 +134,7 @@ def test_exact_measurements_give_the_truth_back(kind: str, lat: float, lon: floa
     assert found.sigma0 < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fixed", "two_axis", "drone"])
 def test_exact_measurements_give_camera_and_mount_back(kind: str) -> None:
     truth = simulated(kind)

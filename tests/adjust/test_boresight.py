@@ -118,6 +118,7 @@ def test_two_steps_refuse_what_cannot_be() -> None:
         two_step_boresight(adjust(replace(of.block(control=of.control(0.02, tuple(of.points.name))), navigation=None)))
 
 
+@pytest.mark.slow
 def test_two_steps_refuse_navigation_that_says_nothing() -> None:
     of = simulated()
     block = of.block()
@@ -239,6 +240,7 @@ def test_scaled_is_times_sigma0(found: tuple[Simulated, Adjustment]) -> None:
     assert isinstance(ErrorModel((scaled,)), ErrorModel)
 
 
+@pytest.mark.slow
 def test_a_calibration_of_nothing_has_no_source() -> None:
     of = simulated()
     result = calibration(adjust(of.block()), of.sensor)

@@ -275,6 +275,7 @@ def test_no_weights_are_better_than_the_errors_own(drawn) -> None:
     assert float(plain.chi_square) == pytest.approx(float(best.chi_square), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_plain_weights_with_errors_of_the_pixels_are_those_of_sigma() -> None:
     uvs, pixels = np.asarray(UVS) + NOISE, several(attitude=0.0)
     found, plain = forward_intersection(SENSOR, SHOTS, uvs, errors=pixels), point_by_pixels(SENSOR, SHOTS, uvs)

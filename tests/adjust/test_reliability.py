@@ -54,6 +54,7 @@ def with_blunder(block: Block, row: int, error: np.ndarray = BLUNDER) -> Block:
     return replace(block, observations=ImagePoints(seen.image, seen.point, uv, seen.sigma))
 
 
+@pytest.mark.slow
 def test_a_good_block_has_as_many_suspects_as_chance_lets_be(good: Adjustment) -> None:
     k = len(good.block.observations)
     assert len(blunders(good, alpha=1e-6)) == 0
@@ -218,12 +219,14 @@ def test_control_is_tested_by_its_own_redundancy(good: Adjustment) -> None:
     assert 1 <= fails <= 12  # of 24 with 0.2 each
 
 
+@pytest.mark.slow
 def test_a_run_without_end_from_poor_starts_says_so_first() -> None:
     block = replace(disturbed(simulated().block(), 50.0, 0.2), navigation=None)
     with pytest.raises(NotConverged, match=r"the last step predicted .* The orientations that it starts from are poor"):
         adjust(block, solver=Solver(max_iterations=1))
 
 
+@pytest.mark.slow
 def test_a_run_without_end_tells_what_stands_out(good: Adjustment) -> None:
     block = with_control_off(good.block, 2, [900.0, 0.0, 0.0])
     with pytest.raises(NotConverged) as caught:

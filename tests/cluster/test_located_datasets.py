@@ -92,6 +92,7 @@ def test_ground_of_several_heights_is_refused(frames: Any, sensor: jaxgeo.Sensor
         locate_dataset(frames, sensor, jaxgeo.ConstantHeight(np.full(12, 600.0)))
 
 
+@pytest.mark.slow
 def test_over_a_dem_on_disk(tmp_path: pathlib.Path, frames: Any, sensor: jaxgeo.Sensor) -> None:
     files = open_dem(write_tiles(tmp_path, down=1, across=1, posts=60), vertical_datum="ellipsoid")
     lazily = locate_dataset(frames.chunk(frame=6), sensor, files).compute()

@@ -298,6 +298,7 @@ def compared(tiles: pathlib.Path, whole: pathlib.Path, least: int) -> None:
         assert np.isfinite(expected[0]).sum() >= least
 
 
+@pytest.mark.slow
 def test_the_tiles_of_a_map_are_the_map(made: Made, tmp_path: pathlib.Path) -> None:
     """Those that are missing are computed again, and only those."""
     sensor, shot, errors = looked_at(made.files, 0.0)

@@ -183,6 +183,7 @@ def test_the_wrong_axis_gives_no_numbers() -> None:
 DERIVATIVES = {"pitch": (0.05, 1e-3), "heading": (0.02, 1e-3), "height": (8150.0, 1.0)}
 
 
+@pytest.mark.slow
 def test_derivatives() -> None:
     """Forward mode by the second shot's pose against central differences."""
     at, steps = np.array(list(DERIVATIVES.values())).T

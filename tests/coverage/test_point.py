@@ -614,6 +614,7 @@ def test_without_a_singularity_a_flight_is_what_its_knots_are():
     np.testing.assert_array_equal(found.status, alone.status)
 
 
+@pytest.mark.slow
 def test_one_knot_s_failure_is_its_own():
     lat = TARGETS.lat.at[4].set(jnp.nan)
     height = TARGETS.height.at[7].set(3e5)  # far overhead, beyond a pitch of 90 deg seen the right way round

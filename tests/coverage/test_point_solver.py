@@ -108,6 +108,7 @@ def test_a_call_alone_is_its_lane_of_a_batch(name):
         assert_same(alone(EVERY[name], looks, lane), jax.tree.map(lambda x, k=lane: x[k], ours))
 
 
+@pytest.mark.slow
 def test_a_call_alone_by_a_solver_is_its_lane_of_a_batch():
     looks = half_narrow(SENSORS["two axes"])
     ours = asked(SENSORS["two axes"], looks)[0]
@@ -171,6 +172,7 @@ def test_a_flight_by_a_solver_is_that_by_ours():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver, order",
     [

@@ -131,6 +131,7 @@ def turned() -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(values), np.asarray(slopes)
 
 
+@pytest.mark.slow
 def test_the_euclidean_step_folds(turned) -> None:
     """Turning back by 0.8 and 1 deg the projected overlap goes on as Eq 18 has it; that of Eq 16 turns round."""
     projected, euclidean = turned[0][:6].T

@@ -74,6 +74,7 @@ def test_twenty_windows_compile_at_most_three_programs(ridge: pathlib.Path) -> N
     assert _hits._cache_size() - before <= 3  # pyright: ignore[reportAttributeAccessIssue]
 
 
+@pytest.mark.slow
 def test_bounds_are_kept_for_the_next_run(ridge: pathlib.Path, tmp_path: pathlib.Path, expected: Fix) -> None:
     cache = tmp_path / "ground.npz"
     first = open_dem(ridge / "shared", vertical_datum="ellipsoid", cache=cache)

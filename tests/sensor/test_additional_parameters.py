@@ -252,6 +252,7 @@ def test_beyond_the_fold_is_outside_the_field():
     assert np.array_equal(in_field(FOLDING, reached[:, None] * direction), reached < 2.0 / 3.0)
 
 
+@pytest.mark.slow
 def test_a_camera_says_so_and_its_gradients_stay_finite():
     camera = FrameCamera.from_pixels(focal_px=1000.0, width=2001, height=2001, distortion=FOLDING)
     uv = np.array([[1000.0, 1200.0], [1000.0, 1900.0], [1e9, 0.0], [np.nan, 0.0]])

@@ -83,6 +83,7 @@ def held_against(march: Marched, dem: Dem, lon: float, band: tuple[float, float]
     return {name: told.count(name) for name in told}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [kind if kind in QUICK else pytest.param(kind, marks=pytest.mark.slow) for kind in GRIDS]
 )

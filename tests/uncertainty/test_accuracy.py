@@ -137,6 +137,7 @@ def test_samples_under_a_transformation_are_refused_in_words(transform) -> None:
         transform(lambda uv: accuracy(sensor, shot, uv, terrain, errors).circular)(pixels)
 
 
+@pytest.mark.slow
 def test_observations_with_a_leading_axis_are_many_exposures(one: Accuracy) -> None:
     sensor, shot, _, terrain, errors = SCENE
     pixels, grounds, models = np.stack([UV, UV]), looks.stacked(terrain, terrain), looks.stacked(errors, errors)
@@ -178,6 +179,7 @@ def test_old_fields_warn(one: Accuracy, many: Accuracy, old: str, new: str) -> N
         assert one.trust is Method.facet
 
 
+@pytest.mark.slow
 def test_old_functions_warn_and_give_the_record(one: Accuracy, many: Accuracy) -> None:
     sensor, shot, _, terrain, errors = SCENE
     with pytest.warns(DeprecationWarning, match=r"assess is now jaxgeo.uncertainty.accuracy\(\.\.\., sampling=None\)"):

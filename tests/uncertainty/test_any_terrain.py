@@ -40,6 +40,7 @@ def told(shot, terrain):
     return accuracy(SENSOR, shot, UV, terrain, MODEL, sampling=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
 def test_the_method_fits_the_triangles(kind: str, rows_ahead: float, expected: Method) -> None:
     one = told(shot_at(rows_ahead), tin(kind))

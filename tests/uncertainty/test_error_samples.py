@@ -44,6 +44,7 @@ def test_samples_of_these_numbers(scene, draws) -> None:
     np.testing.assert_array_equal(found.status, expected.codes[numbers])
 
 
+@pytest.mark.slow
 def test_a_map_over_pixels_keys_and_numbers() -> None:
     pixels, keys = jnp.array([[400.0, 300.0], [100.0, 20.0]]), jax.random.split(KEY, 2)
     each = lambda uv, key, numbers: error_samples(*SCENE[:2], uv, *SCENE[3:], key, numbers)  # noqa: E731
@@ -104,6 +105,7 @@ def test_derivatives_with_respect_to_the_size_of_errors(scene) -> None:
         np.testing.assert_allclose(jax.jit(derivative(errors))(1.0), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [SCENE, pytest.param(TERRAIN, marks=pytest.mark.slow)])
 def test_export_with_a_symbolic_number_of_samples(scene) -> None:
     """Serialised with its records, and called with any number of samples of another scene."""

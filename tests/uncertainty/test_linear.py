@@ -216,6 +216,7 @@ def test_derivatives_by_way_of_the_line_of_sight_are_those_through_the_whole_mod
     assert np.trace(errors.shared.cov_error) == pytest.approx(np.trace(errors.cov_error))
 
 
+@pytest.mark.slow
 def test_another_model_compiles_its_own_derivatives_only() -> None:
     scene = looks.sensor(), looks.shot(), looks.UV, ConstantHeight(120.0)
     position, attitude = looks.few_sources().sources[:2]

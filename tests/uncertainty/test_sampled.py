@@ -129,6 +129,7 @@ def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
     np.testing.assert_allclose(drawn.errors_enu[found], np.asarray(misses)[found], atol=2e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [MODEL, ErrorModel((sources.TerrainHeight.from_metres(4.0),))])
 def test_crowds_are_told_where_to_begin_whatever_errs(model: ErrorModel) -> None:
     """Also if nothing moves the ground, or nothing but the ground moves."""

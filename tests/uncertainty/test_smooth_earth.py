@@ -75,6 +75,7 @@ def drawn(scene):
     return {draws: sample(*scene, key=key, count=2**16, draws=draws, chunk=2**14) for draws in (Sobol(), Random())}
 
 
+@pytest.mark.slow
 def test_samples_agree(linear, drawn) -> None:
     points = drawn[Sobol()]
     for probability in (0.5, 0.9):
