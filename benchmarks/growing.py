@@ -52,7 +52,7 @@ def _sides(sides: list[int], rays: int, repeats: int, cache: pathlib.Path) -> Ta
         memory[ground, side] = _built(terrain, cache)
         dem, batch = dem_of(terrain, np.float32), rays_of(jobs.random_job(terrain, rays))
         runs[f"{ground} {side}"] = lambda dem=dem, batch=batch: jax.block_until_ready(answers(batch, dem))
-        asked[f"{ground} {side}"] = _look_ups(batch, dem)
+        asked[f"{ground} {side}"] = look_ups(batch, dem)
     answered = {name: 100.0 * float(np.mean(np.isfinite(np.asarray(run().slant_range)))) for name, run in runs.items()}
     watch = measuring.Watch()
     timings = measuring.interleaved(runs, repeats)
@@ -61,9 +61,9 @@ def _sides(sides: list[int], rays: int, repeats: int, cache: pathlib.Path) -> Ta
     for ground, spacing_of in GROUNDS.items():
         ns = np.array([1e9 * timings[f"{ground} {side}"].median / rays for side in sides])
         work = np.array([asked[f"{ground} {side}"] for side in sides])
-        for side, cost, look_ups in zip(sides, ns, work, strict=True):
+        for side, cost, read in zip(sides, ns, work, strict=True):
             kept = memory[ground, side]
-            row = [ground, side, spacing_of(side), cost, cost / ns[0], look_ups, look_ups / work[0]]
+            row = [ground, side, spacing_of(side), cost, cost / ns[0], read, read / work[0]]
             row.append(np.log2(side) / np.log2(sides[0]))
             table.rows.append([*row, kept.get("peak"), kept.get("kept"), answered[f"{ground} {side}"]])
             if "reason" in kept:
@@ -72,7 +72,7 @@ def _sides(sides: list[int], rays: int, repeats: int, cache: pathlib.Path) -> Ta
     return table
 
 
-def _look_ups(rays: Any, dem: Any) -> float:
+def look_ups(rays: Any, dem: Any) -> float:
     """Mean number of bounds and cells that a first-hit search reads per ray; see `jaxgeo.studies.look_ups`."""
     import jax
     from peers.ours import answers

@@ -48,6 +48,12 @@ class Table:
     rows: list[list[Any]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    @classmethod
+    def of(cls, record: dict[str, Any]) -> Table:
+        """The table of a `record`."""
+        columns = [Column(**column) for column in record["columns"]]
+        return cls(record["title"], columns, record["rows"], record["notes"])
+
     def markdown(self) -> str:
         lines = [f"### {self.title}", ""]
         lines.append("| " + " | ".join(c.heading for c in self.columns) + " |")

@@ -254,33 +254,15 @@ def cores(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
     return [table]
 
 
-def device(
-    kind: str | None, precision: str, most: int, repeats: int, budget_s: float, cache: pathlib.Path
-) -> list[Table]:
-    """Rates on an accelerator and the share of its memory bandwidth; a note if it was not run."""
-    columns = [
-        Column("device"),
-        Column("search in"),
-        Column("rays"),
-        Column("rate", "M rays/s", "higher"),
-        Column("first call", "s", "lower"),
-        Column("rays in and answers out", "bytes/ray"),
-        Column("of the bandwidth of a copy, at least", "%", "higher"),
-    ]
-    table = Table("On an accelerator", columns)
+def device(kind: str | None, most: int, repeats: int, budget_s: float, cache: pathlib.Path) -> list[Table]:
+    """Rates of rays on an accelerator, by `accelerator.py`; a note if it was not run."""
+    table = Table("On an accelerator", [Column("device")])
     if kind is None:
         table.notes.append("not run: ask for it with --device gpu on a machine that has one")
         return [table]
-    counts = [count for count in (10**k for k in range(5, 9)) if count <= most] or [most]
-    arguments = {"kind": kind, "precision": precision, "rays": counts, "repeats": repeats, "budget_s": budget_s}
-    found = measuring.in_subprocess("device", arguments | {"cache": str(cache)}, 3.0 * budget_s + 600.0)
+    arguments = {"kind": kind, "rays": most, "repeats": repeats, "budget_s": budget_s, "cache": str(cache)}
+    found = measuring.in_subprocess("device", arguments, 3.0 * budget_s + 600.0)
     if "reason" in found:
         table.notes.append(f"not run ({found['reason']})")
         return [table]
-    for batch in found["batches"]:
-        share = 100.0 * batch["rate"] * 1e6 * batch["bytes"] / (found["copy_GB_s"] * 1e9)
-        row = [found["name"], precision, batch["rays"], batch["rate"], batch["first_s"], batch["bytes"], share]
-        table.rows.append(row)
-    table.notes.append(f"a copy of 1 GiB moves {found['copy_GB_s']:.0f} GB/s there (read and write)")
-    table.notes.append("the share counts rays in and answers out, not the look-ups in the pyramid: a lower bound")
-    return [table]
+    return [Table.of(record) for record in found["tables"]]

@@ -47,9 +47,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--largest", type=int, default=1_000_000, help="largest batch of parts b and e, up to 1e8")
     parser.add_argument("--budget", type=float, default=120.0, help="seconds for one process of parts b and e")
     parser.add_argument("--device", choices=["cpu", "gpu", "tpu"], help="run part e there")
-    parser.add_argument(
-        "--precision", choices=["float64", "float32"], default="float64", help="of the search in part e"
-    )
     parser.add_argument("--cache", type=pathlib.Path, default=jobs.CACHE, help="where rays and references are kept")
     parser.add_argument("--json", type=pathlib.Path, help="write the tables there as JSON")
     parser.add_argument("--markdown", type=pathlib.Path, help="write the tables there as Markdown")
@@ -72,7 +69,7 @@ def main() -> None:
         "b": lambda: growing.growth(sides, o.rays, o.largest, o.repeats, o.budget, o.cache),
         "c": lambda: parts.batches(o.rays, o.repeats, o.cache),
         "d": lambda: parts.searches(min(o.rays, 2000), o.repeats),
-        "e": lambda: parts.device(o.device, o.precision, o.largest, o.repeats, o.budget, o.cache),
+        "e": lambda: parts.device(o.device, o.largest, o.repeats, o.budget, o.cache),
         "f": lambda: parts.stages(o.rays, o.repeats, o.cache),
         "g": lambda: parts.cores(o.rays, o.repeats, o.cache),
         "h": lambda: parts.air(o.rays, o.repeats, o.cache),

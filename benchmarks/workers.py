@@ -110,49 +110,14 @@ def cores(devices: int, rays: int, repeats: int, cache: str) -> dict[str, Any]:
     return {name: {"rate": 1e-6 * count / t.median, "first_s": compile_s[name]} for name, t in timings.items()}
 
 
-def device(kind: str, precision: str, rays: list[int], repeats: int, budget_s: float, cache: str) -> dict[str, Any]:
-    """M rays/s on a device for growing batches, and the bandwidth of a 1 GiB copy on it."""
+def device(kind: str, rays: int, repeats: int, budget_s: float, cache: str) -> dict[str, Any]:
+    """The tables of `accelerator.py` on memory and rays."""
+    import accelerator
     import jax
-    import jax.numpy as jnp
-    from peers.ours import dem_of, rays_of
 
-    import jaxgeo
-
-    end = time.monotonic() + budget_s
-    place = jax.devices(kind)[0]
-    with jax.default_device(place):
-        search = _search(precision)
-        answers = jax.jit(jax.vmap(lambda ray, dem: jaxgeo.intersect(ray, dem, search=search), (0, None)))
-        job = jobs.mountain_job(jobs.MOST, pathlib.Path(cache), with_reference=False)
-        dem, base = dem_of(job.terrain), rays_of(job.sight)
-        block = jnp.zeros(2**27)
-        copy = jax.jit(lambda x: x + 1.0)
-        jax.block_until_ready(copy(block))
-        copies = [measuring.timed(lambda: jax.block_until_ready(copy(block)))[1] for _ in range(5)]
-        del block
-        batches = []
-        for count in rays:
-            if time.monotonic() > end:
-                break
-            tiles = -(-count // jobs.MOST)
-            batch = jax.tree.map(lambda x, n=tiles, k=count: jnp.tile(x, (n, 1))[:k], base)
-            run = lambda batch=batch: jax.block_until_ready(answers(batch, dem))  # noqa: E731
-            fix, first_s = measuring.timed(run)
-            moved = sum(leaf.nbytes for leaf in jax.tree.leaves((batch, fix)) if hasattr(leaf, "nbytes")) / count
-            del fix
-            times = [measuring.timed(run)[1] for _ in range(repeats)]
-            rate = count / statistics.median(times)
-            batches.append({"rays": count, "rate": 1e-6 * rate, "first_s": first_s, "bytes": moved})
-    return {"name": place.device_kind, "copy_GB_s": 2e-9 * 2**30 / statistics.median(copies), "batches": batches}
-
-
-def _search(precision: str) -> Any:
-    """The first-hit search in that precision. Raises `SystemExit` with a message if it has no such option."""
-    import jaxgeo
-
-    if precision == "float64":
-        return jaxgeo.FirstHit()
-    raise SystemExit(f"FirstHit has no choice of precision: {precision} searching does not exist yet")
+    place, end = jax.devices(kind)[0], time.monotonic() + budget_s
+    bench = accelerator.Bench(place, repeats, rays, 0, 0, (), pathlib.Path(cache), end)
+    return {"tables": [table.record() for table in (accelerator.bandwidth(bench), *accelerator.rays(bench))]}
 
 
 TASKS = {"memory": memory, "building": building, "batches": batches, "cores": cores, "device": device}

@@ -12,13 +12,16 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._compile import long_run_filter_jit
 
-SIZE = 16_384
+SIZE, SIZE_ACCELERATOR = 16_384, 2**20
 
 
-def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int = SIZE) -> Any:
+def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int | None = None) -> Any:
     """Results of `function(item, *common)` for each item of `many`, `size` items at a time, as NumPy arrays.
+
+    `size` is 16,384 by default, and 1,048,576 on an accelerator.
 
     `many` is an array or a record (or a tuple of such) with a leading axis of items; the result has that axis too. Only
     the result and one batch are in memory. One program is compiled, since the last batch is padded with its last item;
@@ -26,6 +29,7 @@ def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int 
     with the same `function`: pass `jaxgeo.locate` or a named function, not a new lambda. Raises `ValueError` if there
     are no items, leading axes differ in length, or `size` is below 1.
     """
+    size = by_device(SIZE, SIZE_ACCELERATOR) if size is None else size
     if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
         raise ValueError(f"size must be an integer of at least 1, the number of items at a time; got {size!r}.")
     leaves = [leaf for leaf in jax.tree.leaves(many) if eqx.is_array_like(leaf)]

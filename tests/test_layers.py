@@ -13,7 +13,7 @@ LAYERS = [
     (
         "_typing _checks _compile _digest _elementary _export _numerics _record status least_squares _destination "
         "_partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
-        "_parallel _sweep _sweep_store batches"
+        "_parallel _sweep _sweep_store batches _accelerator"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
@@ -40,6 +40,7 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"_compile", "_program_cache"}),
     frozenset({"_compile", "_program_store"}),
     frozenset({"batches", "_compile"}),
+    frozenset({"batches", "_accelerator"}),
     frozenset({"_sweep", "_sweep_store"}),
     frozenset({"_sweep", "_digest"}),
     frozenset({"_sweep", "_parallel"}),

@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 
 from jaxgeo.io._schema import SceneTable, Unit
 
-_BRANCH = re.compile(r"(constrained-)?(str|float)|list\[.*\]")  # pydantic's name of a union branch
+_BRANCH = re.compile(r"(constrained-)?(str|float)|(list|union)\[.*\]|StatedTable")  # pydantic's name of a union branch
 
 
 def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
@@ -90,8 +90,13 @@ def _table_at(loc: tuple[Any, ...]) -> type[BaseModel] | None:
 
 
 def _table_of(field: FieldInfo) -> type[BaseModel] | None:
-    candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
-    return next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+    return _table_in(field.annotation)
+
+
+def _table_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((table for part in getattr(annotation, "__args__", ()) if (table := _table_in(part))), None)
 
 
 def _unit_of(loc: tuple[Any, ...]) -> str | None:

@@ -66,6 +66,25 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class StatedTable(_Table):
+    """An error as a data sheet states it, or one that is not normal; numbers are in the unit of the key."""
+
+    sigma: Annotated[_Sigma | _Some, Unit(f"{_SIGMA}, or a list: one for each")] | None = None
+    plus_minus: Annotated[_Sigma | _Some, Unit("a half-width, or a list: one for each")] | None = None
+    rms: Annotated[_Sigma, Unit("a root mean square error")] | None = None
+    ce: Annotated[_Sigma, Unit("a circular error in m")] | None = None
+    le: Annotated[_Sigma, Unit("a linear error in m")] | None = None
+    se: Annotated[_Sigma, Unit("a spherical error in m")] | None = None
+    distribution: Annotated[str, _strict, Unit("a text")] | None = None
+    sigmas: Annotated[_Number, Unit("how many sigmas plus_minus is, such as 2")] | None = None
+    coverage: Annotated[_Number, Unit("the probability of plus_minus, such as 0.95")] | None = None
+    probability: Annotated[_Number, Unit("the probability of ce, le or se, such as 0.9")] | None = None
+    axes: Annotated[int, _strict, Unit("1, 2 or 3: of how many axes rms is")] | None = None
+    df: Annotated[_Number, Unit("degrees of freedom")] | None = None
+    share: Annotated[_Number, Unit("the share of outliers")] | None = None
+    times: Annotated[_Number, Unit("the sigma of outliers in sigmas of the others")] | None = None
+
+
 class DistortionTable(_Table):
     """Brown-Conrady coefficients in the formula of OpenCV, for normalised image coordinates."""
 
@@ -209,18 +228,18 @@ class AirTable(_Table):
 
 
 class ErrorsTable(_Table):
-    """Standard deviations of the independent errors of a scene, each optional."""
+    """Independent errors of a scene, each optional: standard deviations, or tables of what a data sheet states."""
 
-    position_m: SigmasNed | None = None
-    attitude_deg: SigmasAttitude | None = None
-    gimbal_deg: SigmasReadings | None = None
-    gimbal_mounting_deg: SigmasReadings | None = None
-    boresight_deg: SigmasAttitude | None = None
-    lever_body_m: SigmasLever | None = None
-    focal_px: SigmaPixels | None = None
-    principal_px: SigmasPixel | None = None
-    pixel_px: SigmasPixel | None = None
-    terrain_m: Sigma | None = None
+    position_m: SigmasNed | StatedTable | None = None
+    attitude_deg: SigmasAttitude | StatedTable | None = None
+    gimbal_deg: SigmasReadings | StatedTable | None = None
+    gimbal_mounting_deg: SigmasReadings | StatedTable | None = None
+    boresight_deg: SigmasAttitude | StatedTable | None = None
+    lever_body_m: SigmasLever | StatedTable | None = None
+    focal_px: SigmaPixels | StatedTable | None = None
+    principal_px: SigmasPixel | StatedTable | None = None
+    pixel_px: SigmasPixel | StatedTable | None = None
+    terrain_m: Sigma | StatedTable | None = None
     terrain_correlation_m: Length | None = None
 
     @model_validator(mode="after")

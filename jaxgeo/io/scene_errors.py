@@ -5,22 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from jaxgeo.io._schema import ErrorsTable
+from jaxgeo.io._schema import ErrorsTable, StatedTable
 from jaxgeo.sensor import Gimbal
 from jaxgeo.uncertainty import sources
+from jaxgeo.uncertainty.datasheet import Stated, circular_error, linear_error, plus_minus, rms, spherical_error
+from jaxgeo.uncertainty.distributions import (
+    AbstractDistribution,
+    Arcsine,
+    Laplace,
+    Mixture,
+    StudentT,
+    Triangular,
+    Uniform,
+)
 from jaxgeo.uncertainty.model import ErrorModel
 
-Given = float | list[float]
+Given = float | list[float] | StatedTable
+AMOUNTS = ("sigma", "plus_minus", "rms", "ce", "le", "se")
+PLAIN: dict[str, type[AbstractDistribution]] = {
+    "uniform": Uniform,
+    "triangular": Triangular,
+    "arcsine": Arcsine,
+    "laplace": Laplace,
+}
+NAMES = ("normal", *PLAIN, "student-t", "outliers")
+OPTIONS = {"sigmas": ("plus_minus",), "coverage": ("plus_minus",), "probability": ("ce", "le", "se"), "axes": ("rms",)}
 
 
 def model_of_table(table: ErrorsTable, gimbal: Gimbal) -> ErrorModel:
     """The error model of a table; raises `ValueError` if it does not match the gimbal."""
     found: list[Any] = []
     if table.position_m is not None:
-        north, east, down = _each(table.position_m, 3)
+        north, east, down = _each(table.position_m, 3, "position_m", axes=("ce", "ce", "le"))
         found.append(sources.Position.from_ned(north=north, east=east, down=down))
     if table.attitude_deg is not None:
-        heading, pitch, roll = _each(table.attitude_deg, 3)
+        heading, pitch, roll = _each(table.attitude_deg, 3, "attitude_deg")
         found.append(sources.Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll))
     if table.gimbal_deg is not None:
         found.append(_of_axes(sources.GimbalAngles, "gimbal_deg", table.gimbal_deg, gimbal))
@@ -29,7 +48,7 @@ def model_of_table(table: ErrorsTable, gimbal: Gimbal) -> ErrorModel:
     if table.boresight_deg is not None:
         found.append(_boresight(table.boresight_deg, gimbal))
     if table.lever_body_m is not None:
-        forward, right, down = _each(table.lever_body_m, 3)
+        forward, right, down = _each(table.lever_body_m, 3, "lever_body_m")
         found.append(sources.LeverArm.from_metres(forward=forward, right=right, down=down))
     return ErrorModel((*found, *_of_image(table), *_of_ground(table)))
 
@@ -37,11 +56,11 @@ def model_of_table(table: ErrorsTable, gimbal: Gimbal) -> ErrorModel:
 def _of_image(table: ErrorsTable) -> list[Any]:
     found: list[Any] = []
     if table.focal_px is not None or table.principal_px is not None:
-        column, row = _each(0.0 if table.principal_px is None else table.principal_px, 2)
-        focal = table.focal_px or 0.0
+        column, row = _each(0.0 if table.principal_px is None else table.principal_px, 2, "principal_px")
+        (focal,) = _each(0.0 if table.focal_px is None else table.focal_px, 1, "focal_px")
         found.append(sources.InteriorOrientation.from_pixels(focal=focal, principal_column=column, principal_row=row))
     if table.pixel_px is not None:
-        column, row = _each(table.pixel_px, 2)
+        column, row = _each(table.pixel_px, 2, "pixel_px")
         found.append(sources.PixelMeasurement.from_pixels(column=column, row=row))
     return found
 
@@ -49,9 +68,12 @@ def _of_image(table: ErrorsTable) -> list[Any]:
 def _of_ground(table: ErrorsTable) -> list[Any]:
     if table.terrain_m is None:
         return []
+    (height,) = _each(table.terrain_m, 1, "terrain_m", axes=("le",))
     if table.terrain_correlation_m is None:
-        return [sources.TerrainHeight.from_metres(table.terrain_m)]
-    return [sources.TerrainField.of_variograms(gaussian=[(table.terrain_m, table.terrain_correlation_m)])]
+        return [sources.TerrainHeight.from_metres(height)]
+    sigma, shape = height if isinstance(height, Stated) else (height, None)
+    variogram = (sigma, table.terrain_correlation_m)
+    return [sources.TerrainField.of_variograms(gaussian=[variogram], distribution=shape)]
 
 
 def _of_axes(kind: Any, key: str, given: Given, gimbal: Gimbal) -> Any:
@@ -66,13 +88,89 @@ def _boresight(given: Given, gimbal: Gimbal) -> Any:
             "[errors] boresight_deg: this gimbal reports its angles against the level, so that how its base is mounted "
             "does not matter; give gimbal_mounting_deg."
         )
-    heading, pitch, roll = _each(given, 3)
+    heading, pitch, roll = _each(given, 3, "boresight_deg")
     return sources.Boresight.from_degrees(heading=heading, pitch=pitch, roll=roll)
 
 
-def _each(given: Given, count: int, key: str = "") -> Sequence[float]:
-    """One number per axis."""
+def _each(given: Given, count: int, key: str, axes: Sequence[str] = ()) -> Sequence[float | Stated]:
+    """One standard deviation, or what is stated of it, per axis; `axes` are the radii that a table may state of each.
+
+    Raises `ValueError` for a wrong number, and for tables that do not say one thing.
+    """
+    if isinstance(given, StatedTable):
+        try:
+            return _stated(given, count, key, axes)
+        except ValueError as error:
+            reason = str(error).replace("kind=", "distribution = ").removeprefix(f"[errors] {key}: ")
+            raise ValueError(f"[errors] {key}: {reason}") from error
+    return _numbers(given, count, key)
+
+
+def _numbers(given: float | list[float], count: int, key: str) -> list[float]:
     values = [given] * count if isinstance(given, float | int) else list(given)
     if len(values) != count:
         raise ValueError(f"[errors] {key} = {given!r}: expected {count} numbers, one for each reading, or one for all.")
     return [float(value) for value in values]
+
+
+def _stated(table: StatedTable, count: int, key: str, axes: Sequence[str]) -> list[Stated]:
+    """What a table states of each axis."""
+    amounts = [name for name in AMOUNTS if getattr(table, name) is not None]
+    radii = [name for name in amounts if name in ("ce", "le", "se")]
+    if len(amounts) != 1 and not (radii == amounts == ["ce", "le"]):
+        known = ", ".join(AMOUNTS[:3]) + (", ce and le, or se" if len(axes) == 3 else ", or le" if axes else "")
+        raise ValueError(f"give one of {known}; got {', '.join(amounts) or 'none of them'}.")
+    _check_options(table, amounts)
+    if radii:
+        return _of_radii(table, radii, axes)
+    if table.rms is not None:
+        return [rms(table.rms, axes=table.axes)] * count
+    if table.plus_minus is not None:
+        shape = table.distribution
+        if shape in ("laplace", "student-t", "outliers"):
+            raise ValueError(f'plus_minus goes with distribution = "normal" or one with limits; got {shape!r}.')
+        options: Any = {"kind": shape, "sigmas": table.sigmas, "coverage": table.coverage}
+        return [plus_minus(value, **options) for value in _numbers(table.plus_minus, count, f"{key}.plus_minus")]
+    assert table.sigma is not None
+    shape = _distribution(table)
+    return [Stated(value, shape) for value in _numbers(table.sigma, count, f"{key}.sigma")]
+
+
+def _check_options(table: StatedTable, amounts: list[str]) -> None:
+    """Raise `ValueError` for keys that go with others."""
+    for name, with_ in OPTIONS.items():
+        if getattr(table, name) is not None and not any(amount in with_ for amount in amounts):
+            raise ValueError(f"{name} goes with {', '.join(with_)}.")
+    if table.distribution not in (None, "normal") and not {"sigma", "plus_minus"} & set(amounts):
+        raise ValueError("distribution goes with sigma or plus_minus; rms, ce, le and se are of normal errors.")
+    wanted = {"df": "student-t", "share": "outliers", "times": "outliers"}
+    for name, shape in wanted.items():
+        if (getattr(table, name) is None) == (table.distribution == shape):
+            verb = "needs" if table.distribution == shape else "alone has"
+            raise ValueError(f'distribution = "{shape}" {verb} {name}.')
+
+
+def _of_radii(table: StatedTable, radii: list[str], axes: Sequence[str]) -> list[Stated]:
+    if radii == ["se"] and len(axes) == 3:
+        return [spherical_error(table.se, probability=table.probability)] * 3
+    if set(radii) != set(axes):
+        wanted = "ce and le, or se" if len(axes) == 3 else "le" if axes else "none of ce, le and se"
+        raise ValueError(f"of these errors give {wanted}; got {' and '.join(radii)}.")
+    of = {
+        "ce": lambda: circular_error(table.ce, probability=table.probability),
+        "le": lambda: linear_error(table.le, probability=table.probability),
+    }
+    return [of[name]() for name in axes]
+
+
+def _distribution(table: StatedTable) -> AbstractDistribution | None:
+    name, share, times = table.distribution, table.share, table.times
+    if name is None or name == "normal":
+        return None
+    if name == "student-t":
+        return StudentT(table.df)
+    if share is not None and times is not None:  # `_check_options`: those of outliers
+        return Mixture.of_outliers(share=share, times=times)
+    if name not in PLAIN:
+        raise ValueError(f"distribution must be one of {', '.join(NAMES)}; got {name!r}.")
+    return PLAIN[name]()

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int8
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import sight_along, visibility
 from jaxgeo._numerics import dot, safe_sqrt
@@ -85,7 +86,7 @@ def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, in
     rows, cols = shape
     row, col = jnp.meshgrid(jnp.arange(float(rows)), jnp.arange(float(cols)), indexing="ij")
     rowcol = corner[None, :] + jnp.stack([row.reshape(-1), col.reshape(-1)], axis=1)
-    found = jax.lax.map(one, rowcol, batch_size=1024)
+    found = jax.lax.map(one, rowcol, batch_size=by_device(1024, 2**18))
     return Cells(*(leaf.reshape(shape) for leaf in found))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int8
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._record import Record, packed, unpacked
@@ -31,9 +32,10 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
 
-TILE = 512  # cells on a side, at most
+TILE, TILE_ACCELERATOR = 512, 2048  # cells on a side, at most
 STRIP, ACROSS = 32, 128  # rows and columns of a tile per step, so that arrays stay in the processor's caches
-SEARCHED = 1024  # lines of sight per call: one size, compiled once
+SIDE_ACCELERATOR = 1024  # the same on an accelerator
+SEARCHED, SEARCHED_ACCELERATOR = 1024, 2**17  # lines of sight per call: one size, compiled once
 BILINEAR = Bilinear()
 COARSEST = 6  # halvings of an image, at most
 HIDDEN_TOLERANCE = 0.01
@@ -137,10 +139,14 @@ class Rectifier:
         level = self._level_for(*(np.asarray(x) for x in (found.lattice.u, found.lattice.v, found.lattice.status)))
         least_sine = self._open_sight and self._open_sight.least_sine(*np.asarray(found.on_terrain))
         pixels = self._at_level(level)
-        side = max(TILE, -(-max(shape) // ACROSS) * ACROSS)
+        across = _block()[1]
+        side = max(by_device(TILE, TILE_ACCELERATOR), -(-max(shape) // across) * across)
         size = jnp.asarray(2.0**level)
         filled = _filled(self.view, found.chart, pixels, size, least_sine, jnp.asarray(shape), self._how, side)
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[..., : shape[0], : shape[1]], filled)
+        cut = lambda leaf: leaf[..., : shape[0], : shape[1]]  # noqa: E731
+        if by_device(True, False):
+            return jax.tree.map(lambda leaf: cut(np.asarray(leaf)), filled)
+        return jax.tree.map(lambda leaf: np.asarray(cut(leaf)), filled)
 
     def _one_by_one(self, corner: Array, shape: tuple[int, int]) -> Filled:
         """A tile by exact projection of each cell."""
@@ -156,11 +162,11 @@ class Rectifier:
 
     def _looked_at(self, places: np.ndarray) -> np.ndarray:
         """First-hit `Status` (n,) of the lines of sight to cells (n, 2)."""
-        found = np.empty(len(places), np.int8)
-        for first in range(0, len(places), SEARCHED):
-            part = places[first : first + SEARCHED]
-            padded = jnp.asarray(np.resize(part, (SEARCHED, 2)).astype(np.float64))
-            found[first : first + SEARCHED] = np.asarray(hidden(self.view, padded, self._tolerance))[: len(part)]
+        found, most = np.empty(len(places), np.int8), by_device(SEARCHED, SEARCHED_ACCELERATOR)
+        for first in range(0, len(places), most):
+            part = places[first : first + most]
+            padded = jnp.asarray(np.resize(part, (most, 2)).astype(np.float64))
+            found[first : first + most] = np.asarray(hidden(self.view, padded, self._tolerance))[: len(part)]
         return found
 
     def _level_for(self, u: np.ndarray, v: np.ndarray, status: np.ndarray) -> int:
@@ -205,7 +211,7 @@ def rectify(
     hidden_tolerance: float = HIDDEN_TOLERANCE,
     time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
-    tile: int = TILE,
+    tile: int | None = None,
 ) -> Rectified:
     """Orthorectify the image of a shot (or a trajectory and the image's `time`) onto a grid of `shape` cells.
 
@@ -241,13 +247,14 @@ def rectify(
 
 
 def tiles_of(
-    rectifier: Rectifier, shape: tuple[int, int], tile: int = TILE
+    rectifier: Rectifier, shape: tuple[int, int], tile: int | None = None
 ) -> Iterator[tuple[tuple[slice, slice], Tile]]:
     """(position, tile) of all tiles of a grid of `shape` cells, in order, computed on all processors.
 
     Tiles have one size, so that one compiled program serves all; those at the end are clipped.
     """
     rows, cols = shape
+    tile = by_device(TILE, TILE_ACCELERATOR) if tile is None else tile
     side = _side(rows, tile), _side(cols, tile)
     corners = [(row, col) for row in range(0, rows, side[0]) for col in range(0, cols, side[1])]
     workers = _processors()
@@ -319,15 +326,16 @@ def _filled(
     tiles of all shapes. The others are meaningless."""
     by_row, by_col = (basis(jnp.arange(float(side)), last) for last in chart.last)
     sound = jnp.all(jnp.isfinite(chart.columns))
-    rows, cols = -(-shape[0] // STRIP), -(-shape[1] // ACROSS)
+    strip, across = _block()
+    rows, cols = -(-shape[0] // strip), -(-shape[1] // across)
 
     def block(row: Array, col: Array) -> Filled:
-        of_row = jax.lax.dynamic_slice_in_dim(by_row, row, STRIP)
-        of_col = jax.lax.dynamic_slice_in_dim(by_col, col, ACROSS)
+        of_row = jax.lax.dynamic_slice_in_dim(by_row, row, strip)
+        of_col = jax.lax.dynamic_slice_in_dim(by_col, col, across)
         return _filled_cells(charted_cells(view, chart, of_row, of_col, sound), pixels, size, least_sine, how)
 
     def with_block(number: Array, whole: Filled) -> Filled:
-        row, col = STRIP * (number // cols), ACROSS * (number % cols)
+        row, col = strip * (number // cols), across * (number % cols)
 
         def put(leaf: Array, part: Array) -> Array:
             return jax.lax.dynamic_update_slice(leaf, part, (*[0] * (leaf.ndim - 2), row, col))
@@ -364,6 +372,11 @@ def _values(pixels: Pixels, size: ArrayLike, how: How, u: Array, v: Array, statu
             value = jnp.clip(jnp.rint(value), limits.min, limits.max)
         found.append(value.astype(how.dtype))
     return jnp.stack(found), sound
+
+
+def _block() -> tuple[int, int]:
+    """Rows and columns of a tile per step."""
+    return by_device((STRIP, ACROSS), (SIDE_ACCELERATOR, SIDE_ACCELERATOR))
 
 
 def _side(count: int, most: int) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
 from jaxgeo._compile import long_run_filter_jit
@@ -24,7 +25,7 @@ from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-CHUNK = 1024  # rays per call: one size, compiled once
+CHUNK, CHUNK_ACCELERATOR = 1024, 2**18  # rays per call: one size, compiled once
 BILINEAR = Bilinear()
 
 
@@ -113,8 +114,9 @@ def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
 
 
 def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
-    padded = np.resize(uv, (max(-(-len(uv) // CHUNK), 1) * CHUNK, 2)) if len(uv) else np.zeros((CHUNK, 2))
-    return [jnp.asarray(padded[k : k + CHUNK]) for k in range(0, len(padded), CHUNK)]
+    chunk = by_device(CHUNK, CHUNK_ACCELERATOR)
+    padded = np.resize(uv, (max(-(-len(uv) // chunk), 1) * chunk, 2)) if len(uv) else np.zeros((chunk, 2))
+    return [jnp.asarray(padded[k : k + chunk]) for k in range(0, len(padded), chunk)]
 
 
 @long_run_filter_jit

@@ -1,7 +1,7 @@
 """Accuracy of fixes: error sources, linear propagation, Monte Carlo, sigma points, error budgets and design."""
 
 from jaxgeo._renamed import renamed
-from jaxgeo.uncertainty import metrics, presets, sources
+from jaxgeo.uncertainty import datasheet, distributions, metrics, presets, sources
 from jaxgeo.uncertainty._accuracy import accuracy
 from jaxgeo.uncertainty._accuracy_map import AccuracyMap, accuracy_map
 from jaxgeo.uncertainty._budget import Budget, budget
@@ -66,7 +66,9 @@ __all__ = [
     "certified_design",
     "circular_error",
     "compare",
+    "datasheet",
     "design",
+    "distributions",
     "error_ellipse",
     "error_samples",
     "gauss_helmert",

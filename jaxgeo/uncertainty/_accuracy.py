@@ -23,7 +23,7 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
 from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, over_profile, profile_factors
+from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, method_of, over_profile, profile_factors
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
 from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
@@ -36,6 +36,7 @@ SAMPLES = 20_000
 SAMPLING = Sampling()
 OF_PIXELS = (None, None, 0, None, None)
 _select_method = jax.jit(select_method)
+_method_of = quick_filter_jit(method_of)
 
 
 @accepts_sampling_options
@@ -61,7 +62,9 @@ def accuracy(
     profile along the line of sight with its ridges and unseen gaps, and edges and voids within the errors' range. If
     linear propagation over the facet agrees with footprint and profile, it is used; otherwise that over the footprint,
     if it agrees with the profile. Its radii are scaled by what the profile makes of them. If neither is valid, or the
-    ground cannot be probed, samples are drawn as `sampling` says (default: 20 000; of many pixels 2000 each).
+    ground cannot be probed, samples are drawn as `sampling` says (default: 20 000; of many pixels 2000 each), as they
+    are if errors that are not normal make the error of the fix far from normal; otherwise linear propagation uses their
+    variance (see `note`).
 
     - Many pixels of one exposure: `uv` (..., 2); the result has the shape of the pixels.
     - Many exposures: `in_axes`, as for `jax.vmap`, is 0 for each of (sensor, shot, uv, terrain, errors), or of
@@ -117,8 +120,10 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
-    diagnostics, facet, footprint, profile = diagnose(inputs, nominal, model)
-    method, probability = Method(int(_select_method(diagnostics))), float(level)
+    found = diagnose(inputs, nominal, model)
+    diagnostics, facet, footprint, profile = found
+    code = _select_method(diagnostics) if model.is_normal else _method_of(found)
+    method, probability = Method(int(code)), float(level)
     linear = facet if method is Method.facet else footprint
     cov, bias, failed, sampled = linear.cov_enu, linear.bias_enu, np.nan, None
     if method is Method.samples:
@@ -130,7 +135,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
         radii = _scaled(tuple(error_of(level) for error_of in errors_of), profile, nominal, cov, level)
     circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
     more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
-    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)
+    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, model.left_out)
 
 
 @quick_filter_jit
@@ -146,9 +151,8 @@ def _without_samples(inputs: ModelInputs, model: ErrorModel, level: Scalar, sear
     one = assess_fix(inputs, nominal, model, level)
     is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
     cov, bias = (jnp.where(is_linear, x, jnp.nan) for x in (one.cov_enu, one.bias_enu))
-    return Accuracy(
-        nominal.fix, level, *linear_radii(one, level), one.method, cov, bias, jnp.asarray(jnp.nan), one.diagnostics
-    )
+    figures = (*linear_radii(one, level), one.method, cov, bias, jnp.asarray(jnp.nan), one.diagnostics)
+    return Accuracy(nominal.fix, level, *figures, note=model.left_out)
 
 
 def _of_pixels(

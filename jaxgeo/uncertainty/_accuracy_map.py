@@ -205,7 +205,7 @@ def accuracy_of_cells(
     columns = sample_where_needed(found.method, radii, observation_at, request.search, sampling, probability)
     found, columns = scatter((found, columns), index[within], count)
     linear = (found.method, found.cov_enu, found.bias_enu, found.diagnostics)
-    return batch_of(fix, probability, columns, *linear, int(sampling.count or 0), shape)
+    return batch_of(fix, probability, columns, *linear, int(sampling.count or 0), shape, model.left_out)
 
 
 def _assess(

@@ -69,7 +69,7 @@ class Budget(Record):
 
     `total` is the variance of the fix, the sum of `shares()`; `circular_error` in m is that at `probability`. With a
     footprint slope the last of `sources` is the roughness of the ground, which has no sigma. With a `status` other than
-    `hit`, its message limits the validity of the budget.
+    `hit`, its message limits the validity of the budget. `note` says what it leaves out of errors that are not normal.
     """
 
     sources: tuple[SourceShare, ...]
@@ -77,6 +77,7 @@ class Budget(Record):
     circular_error: float
     probability: float
     status: Status
+    note: str | None = None
 
     def shares(self) -> dict[str, Variance]:
         """Shares that add up to `total`: independent standard deviations, correlated blocks, ground roughness."""
@@ -84,12 +85,14 @@ class Budget(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; standard deviations in display units: deg, m, px, s."""
+        said = {} if self.note is None else {"note": self.note}
         return {
             "probability": self.probability,
             "circular_error_m": self.circular_error,
             "variance_m2": self.total._asdict(),
             "status": self.status.name,
             "sources": [_source_as_dict(source) for source in self.sources],
+            **said,
         }
 
     def __str__(self) -> str:
@@ -100,8 +103,8 @@ class Budget(Record):
             rows.append((row.name, sigma, *self._percent(row.variance), f"{row.without:.3f} m", slope))
         total = (f"{math.sqrt(self.total.horizontal):.3f} m", f"{math.sqrt(self.total.vertical):.3f} m")
         rows.append(("total standard deviation", "", *total, f"{percent} {self.circular_error:.3f} m", ""))
-        note = "" if self.status == Status.hit else f"\n{self.status.name}: {self.status.message}"
-        return _table(rows) + note
+        notes = [] if self.status == Status.hit else [f"{self.status.name}: {self.status.message}"]
+        return "\n".join([_table(rows), *notes, *([] if self.note is None else [self.note])])
 
     def _rows(self) -> Iterator[_Row]:
         for source in self.sources:
@@ -191,7 +194,8 @@ def _level_and_slopes(linear: Linear, sigma: Sigmas) -> tuple[Float[Array, "2 2"
 def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
     """Error budget: contribution of each standard deviation to the covariance and circular error of a fix.
 
-    Variances add up; circular errors do not. Each row therefore also has the circular error without that contribution,
+    Of errors that are not normal only the variance counts; `sobol_indices` uses their distributions. Variances add up;
+    circular errors do not. Each row therefore also has the circular error without that contribution,
     all others unchanged, and the derivative by the sigma, both of the exact quantile. Correlated axes have a share only
     as a block; one of them may reduce the error if it cancels another. With a footprint slope the plane is held fixed.
     Raises `ValueError` for a propagation without a fix, a batch, or a probability outside (0, 1), `TypeError` for
@@ -226,7 +230,7 @@ def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
     if float(propagation.surface.roughness) > 0.0:
         sources = (*sources, SourceShare(ROUGHNESS, variances[-1], without[-1], True, ()))
     status = Status(int(propagation.fix.status))
-    return Budget(sources, _variance(propagation.cov_enu), float(error), float(probability), status)
+    return Budget(sources, _variance(propagation.cov_enu), float(error), float(probability), status, propagation.note)
 
 
 @quick_filter_jit

@@ -114,6 +114,7 @@ def compare(
     atmosphere: Atmosphere | None = None,
 ) -> Comparison:
     """Compare linear propagation (facet, footprint, level ground), second order, sigma points and samples at one fix.
+    Second order and sigma points are left out if a distribution has no fourth moment.
 
     100 000 samples are drawn, or as `sampling` says, and kept. Other arguments and exceptions as for `sample`; `digits`
     is the number of significant digits to compare, 1 to 6.
@@ -128,13 +129,14 @@ def compare(
     sampler = Sampler.of(inputs, nominal, model, search, sampling)
     drawn = sampler.drawn(keep=True)
     _, facet, footprint, profile = diagnose(inputs, nominal, model)
-    methods = {
+    methods: dict[str, Any] = {
         "linear, facet": facet,
         "linear, footprint": footprint,
         "linear, level ground": propagate_linear(inputs, nominal, model, Level()),
-        "second order": second_moments(inputs, nominal, model),
-        "sigma points": sampler.moments_of_sigma_points(),
     }
+    if model.finite_orders > 4.0:  # else their variance may be infinite
+        methods["second order"] = second_moments(inputs, nominal, model)
+        methods["sigma points"] = sampler.moments_of_sigma_points()
     quantiles = _figures(drawn)
     rows = []
     for name, result in methods.items():

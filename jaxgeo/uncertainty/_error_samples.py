@@ -19,7 +19,13 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.batched_rays import BLOCK, common_ground, offsets_of_lines, perturbed_lines, places_of_ground
+from jaxgeo.uncertainty.batched_rays import (
+    block_size,
+    common_ground,
+    offsets_of_lines,
+    perturbed_lines,
+    places_of_ground,
+)
 from jaxgeo.uncertainty.chunks import error_stages, rotation_of
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
@@ -70,7 +76,7 @@ def error_samples(
     True
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, inputs)
+    model = checked_model(errors, inputs, moments=0)
     check_key(key)
     draws = checked_draws(Random() if draws is None else draws)
     numbers = _checked_numbers(indices, draws.most)
@@ -100,8 +106,9 @@ def _errors_of(
     nominal = inputs.nominal_fix(search)
     model = model.at(inputs, nominal)
     places = places_of_ground(model, inputs)
-    turn = rotation_of(draws, model, inputs, nominal)
-    stages = error_stages(draws, key, model, model.roots(), turn)
+    roots = model.roots()
+    turn = rotation_of(draws, model, roots, inputs, nominal)
+    stages = error_stages(draws, key, model, roots, turn)
 
     def of_block(numbers: Int[Array, " block"]) -> tuple[Any, Any]:
         lines = perturbed_lines(model, inputs, places, stages, numbers)
@@ -121,10 +128,10 @@ def _without_nominal(nominal: NominalFix, errors: Any, status: Any) -> tuple[Any
 
 def _in_whole_blocks(function: Any, numbers: Int[Array, " samples"]) -> Any:
     """`function` of blocks of one size, so that only the number of blocks depends on that of the samples."""
-    count = numbers.shape[0]
-    if isinstance(count, int) and count <= BLOCK:
+    count, block = numbers.shape[0], block_size()
+    if isinstance(count, int) and count <= block:
         return function(numbers) if count else jax.tree.map(lambda x: x[:0], function(jnp.zeros(1, numbers.dtype)))
-    blocks = -(-count // BLOCK)
-    padded = jnp.concatenate([numbers, jnp.zeros(blocks * BLOCK - count, numbers.dtype)])
-    found = jax.lax.map(function, padded.reshape(blocks, BLOCK))
-    return jax.tree.map(lambda x: x.reshape(blocks * BLOCK, *x.shape[2:])[:count], found)
+    blocks = -(-count // block)
+    padded = jnp.concatenate([numbers, jnp.zeros(blocks * block - count, numbers.dtype)])
+    found = jax.lax.map(function, padded.reshape(blocks, block))
+    return jax.tree.map(lambda x: x.reshape(blocks * block, *x.shape[2:])[:count], found)

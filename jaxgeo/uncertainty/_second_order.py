@@ -64,43 +64,96 @@ def sigma_points(
     """Mean and covariance of the fix error from 2 n + 1 sigma points (Julier and Uhlmann 1997), at 3^(1/2) sigmas.
 
     Along each axis this is Gauss-Hermite quadrature with three nodes, i.e. the unscented transform with central weight
-    1 - n/3: correct to third order in the errors, without information between its points. If a point has no fix, its
-    contribution is unknown: the moments are NaN, and `failed` counts such points. Raises as `propagate`.
+    1 - n/3: correct to third order in the errors, without information between its points. Along an independent axis
+    that is not normal it is the Gauss quadrature of its distribution, by skewness and kurtosis (Julier 1998, "A skewed
+    approach to filtering"); axes that are correlated within a source count as normal. If a point has no fix, its
+    contribution is unknown: the moments are NaN, and `failed` counts such points. Raises as `propagate`, and
+    `ValueError` for a distribution without a finite fourth moment.
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return sigma_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), search)
+    model = checked_model(errors, inputs, moments=4)
+    return sigma_moments(inputs, inputs.nominal_fix(search), model, search)
 
 
 @quick_filter_jit
 def sigma_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
     """`sigma_points` of validated input, about the nominal fix."""
     model = model.at(inputs, nominal)
-    points = sigma_points_of(model.size) @ model.factor().T
+    order = axis_moments(model)
+    points = sigma_points_of(model.size, order) @ model.factor().T
     offsets, statuses = jax.vmap(lambda error: model.fix_offset(inputs, nominal, error, search))(points)
-    return moments_of_points(nominal, offsets, statuses)
+    return moments_of_points(nominal, offsets, statuses, order)
 
 
-def sigma_points_of(axes: int) -> Float[Array, "points axes"]:
-    """Sigma points of standard normal axes."""
-    ahead = SPREAD * np.eye(axes)
-    return jnp.asarray(np.concatenate([np.zeros((1, axes)), ahead, -ahead]))
+class AxisMoments(NamedTuple):
+    """Skewness and kurtosis of the axes z of an error model, with error vectors L z of its factor L."""
+
+    skewness: Float[Array, " axes"]
+    kurtosis: Float[Array, " axes"]
+
+    @property
+    def nodes(self) -> tuple[Float[Array, " axes"], Float[Array, " axes"]]:
+        """Distances ahead and behind of the outer nodes of the Gauss quadrature with three nodes, one of them at 0."""
+        middle = 0.5 * self.skewness
+        half = jnp.sqrt(self.kurtosis - 3.0 * middle**2)
+        return half + middle, half - middle
+
+
+def axis_moments(model: ErrorModel) -> AxisMoments | None:
+    """The moments of a model; None if all errors are normal. Correlated axes of one source count as normal."""
+    if model.is_normal:
+        return None
+    skewness, kurtosis = jnp.zeros(model.size), jnp.full(model.size, 3.0)
+    for source, place in model.parts():
+        if source.is_normal or not source.is_independent:
+            continue
+        first = place.start
+        for axis, shape in enumerate(source.shapes):
+            if shape is not None:
+                skewness = skewness.at[first + axis].set(shape.skewness)
+                kurtosis = kurtosis.at[first + axis].set(shape.kurtosis)
+    return AxisMoments(skewness, kurtosis)
+
+
+def sigma_points_of(axes: int, order: AxisMoments | None = None) -> Float[Array, "points axes"]:
+    """Sigma points of axes that are standard normal, or have other moments."""
+    if order is not None:
+        ahead, behind = order.nodes
+        return jnp.concatenate([jnp.zeros((1, axes)), jnp.diag(ahead), -jnp.diag(behind)])
+    spread = SPREAD * np.eye(axes)
+    return jnp.asarray(np.concatenate([np.zeros((1, axes)), spread, -spread]))
 
 
 @quick_filter_jit
 def moments_of_points(
-    nominal: NominalFix, offsets: Float[Array, "points 3"], statuses: Int8[Array, " points"]
+    nominal: NominalFix,
+    offsets: Float[Array, "points 3"],
+    statuses: Int8[Array, " points"],
+    order: AxisMoments | None = None,
 ) -> Moments:
     """Moments from the offsets in m, and statuses, of the fixes of the `sigma_points_of` a model."""
     axes = len(offsets) // 2
     found = counts_as_fix(statuses)
     middle, ahead, behind = offsets[0], offsets[1 : axes + 1], offsets[axes + 1 :]
-    bend = (ahead + behind - 2.0 * middle[None, :]) / SPREAD**2  # second derivatives along the axes
-    slope = (ahead - behind) / (2.0 * SPREAD)
+    if order is None:
+        bend = (ahead + behind - 2.0 * middle[None, :]) / SPREAD**2  # second derivatives along the axes
+        slope = (ahead - behind) / (2.0 * SPREAD)
+        cov = slope.T @ slope + 0.5 * bend.T @ bend
+    else:
+        far, near = (x[:, None] for x in order.nodes)
+        rise, fall = (ahead - middle[None, :]) / far, (middle[None, :] - behind) / near
+        bend, slope = 2.0 * (rise - fall) / (far + near), (near * rise + far * fall) / (far + near)
+        cov = slope.T @ slope + _of_bends(slope, bend, order)
     mean = middle + 0.5 * jnp.sum(bend, axis=0)
-    cov = slope.T @ slope + 0.5 * bend.T @ bend
     sound = nominal.fix.found & jnp.all(found)
     failed = jnp.sum(~found)
     return Moments(jnp.where(sound, mean, jnp.nan), jnp.where(sound, cov, jnp.nan), nominal.fix.status, failed)
+
+
+def _of_bends(slope: Float[Array, "axes 3"], bend: Float[Array, "axes 3"], order: AxisMoments) -> Matrix3:
+    """Covariance of the sum of b (z^2 - 1) / 2 over independent axes z, and its covariance with that of s z."""
+    skew = 0.5 * slope.T @ (order.skewness[:, None] * bend)
+    return 0.25 * bend.T @ ((order.kurtosis - 1.0)[:, None] * bend) + skew + skew.T
 
 
 @accepts_observation
@@ -117,10 +170,11 @@ def second_order(
 ) -> Moments:
     """Mean and covariance of the fix error to second order, by exact Hessians on the facet under the fix.
 
-    mean_i = tr(H_i Sigma) / 2, cov_ij = (J Sigma J')_ij + tr(H_i Sigma H_j Sigma) / 2. Raises as `propagate`.
+    mean_i = tr(H_i Sigma) / 2, cov_ij = (J Sigma J')_ij + tr(H_i Sigma H_j Sigma) / 2. Independent axes that are not
+    normal count with their skewness and kurtosis. Raises as `sigma_points`.
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return second_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs))
+    return second_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs, moments=4))
 
 
 @quick_filter_jit
@@ -149,5 +203,9 @@ def second_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) 
     jacobian = jacobian[:3] @ along
     mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
     cov = jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
+    order = axis_moments(model)
+    if order is not None:  # the trace holds the bends along the axes as those of normal numbers
+        bend = jnp.diagonal(hessian, axis1=1, axis2=2).T
+        cov = cov + _of_bends(jacobian.T, bend, order) - 0.5 * bend.T @ bend
     known = lambda x: jnp.where(nominal.fix.found, x, jnp.nan)  # noqa: E731
     return Moments(known(mean), known(cov), nominal.fix.status, jnp.asarray(0))

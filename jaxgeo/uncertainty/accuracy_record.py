@@ -18,7 +18,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.uncertainty.host_arrays import take
 from jaxgeo.uncertainty.linear import Propagation
-from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, explain_method
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, explain_method, select_method
 from jaxgeo.uncertainty.sampled import Sampled
 
 
@@ -50,6 +50,7 @@ class Accuracy(OldNames, Record):
     plane: within 5 % of samples in 97 % of looks at rough and real terrain (benchmarks/verdict.py). `failed` is
     the share of samples without a fix, NaN if none were drawn; `count` is the number of samples drawn where they are
     needed. `diagnostics` selected the method. `propagation` and `sampled` hold the details of one fix outside `jit`.
+    `note` says what linear propagation leaves out of errors that are not normal, None if all are normal.
 
     A pytree for `jit` and `vmap`. `found[3]` is one of many; `str(found)` describes one, and summarises many.
     """
@@ -67,6 +68,7 @@ class Accuracy(OldNames, Record):
     count: int = eqx.field(static=True, default=0)
     propagation: Propagation | None = None
     sampled: Sampled | None = None
+    note: str | None = eqx.field(static=True, default=None)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -97,7 +99,7 @@ class Accuracy(OldNames, Record):
         Raises `ValueError` for many fixes: take one, `found[3].because`.
         """
         code = int(np.asarray(self._one("because").method))
-        return None if code == NO_FIX else explain_method(self.diagnostics, Method(code))
+        return None if code == NO_FIX else _because(self.diagnostics, Method(code), self.note)
 
     def level(self) -> float:
         """The probability common to all radii; host only. Raises `ValueError` if there are several."""
@@ -142,6 +144,8 @@ def summary(accuracy: Any, noun: str, meaning: Callable[[Status], str] = lambda 
         lines.append(f"  {np.count_nonzero(method == one):8d}  {words}")
     for status, number in count_statuses(statuses[~has_fix]).items():
         lines.append(f"  {number:8d}  {status.name}: {meaning(status)}")
+    if getattr(accuracy, "note", None) is not None:
+        lines.append(accuracy.note)
     return "\n".join(lines)
 
 
@@ -150,9 +154,21 @@ def reasons(accuracy: Accuracy) -> list[str | None]:
     rows = np.stack([np.asarray(one) for one in accuracy.diagnostics], axis=-1).tolist()
     codes = np.asarray(accuracy.method).tolist()
     return [
-        None if code == NO_FIX else explain_method(Diagnostics(*row), Method(code))
+        None if code == NO_FIX else _because(Diagnostics(*row), Method(code), accuracy.note)
         for code, row in zip(codes, rows, strict=True)
     ]
+
+
+def _because(diagnostics: Diagnostics, method: Method, note: str | None) -> str:
+    """Why a method was selected, with the `note` on errors that are not normal."""
+    if note is None:
+        return explain_method(diagnostics, method)
+    by_ground = Method(int(select_method(diagnostics)))
+    if method is not Method.samples:
+        return f"{explain_method(diagnostics, method)} {note}"
+    if by_ground is Method.samples:
+        return explain_method(diagnostics, method)
+    return f"The error of the fix is far from normal. {note}"
 
 
 def batch_of(
@@ -165,6 +181,7 @@ def batch_of(
     diagnostics: Diagnostics,
     count: int,
     shape: tuple[int, ...],
+    note: str | None,
 ) -> Accuracy:
     """Accuracy of many fixes from arrays (n, ...) on the host, reshaped to a batch."""
     is_linear = np.isin(method, [Method.facet, Method.footprint])
@@ -173,4 +190,4 @@ def batch_of(
     levels = np.full(method.shape, probability)
     flat = (fix, levels, circular, linear, spherical, method, cov_enu, bias_enu, failed, diagnostics)
     arrays: Any = jax.tree.map(lambda leaf: jnp.asarray(np.reshape(leaf, shape + np.shape(leaf)[1:])), flat)
-    return Accuracy(*arrays, count=count)
+    return Accuracy(*arrays, count=count, note=note)

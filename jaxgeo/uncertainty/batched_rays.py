@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int8
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import has_point, touched_by_each
 from jaxgeo._numerics import matvec
@@ -24,6 +25,7 @@ from jaxgeo.uncertainty.sources.base import Error
 
 BLOCK = 3392  # lines of sight formed and searched together: a multiple of 64, so that the search needs no padding
 STAGE = BLOCK // 2  # lines of sight per step of forming them; intermediate results fit into the cache of a core
+BLOCK_ACCELERATOR = 2**20  # the same on an accelerator, in one step
 TRIALS = 1024
 WIDER = 1.5  # factor on the largest trial deviation: about four sigmas, so that hardly any draw lies outside
 LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: margin for rounding if there is no spread
@@ -39,6 +41,11 @@ class PerturbedLines(NamedTuple):
     sight: Sightline
     own: Any
     rise: Float[Array, " lines"]
+
+
+def block_size(devices: Sequence[Any] = ()) -> int:
+    """Lines of sight formed and searched together, on given devices or on the default one."""
+    return by_device(BLOCK, BLOCK_ACCELERATOR, devices)
 
 
 def perturbed_lines(model: ErrorModel, inputs: ModelInputs, places: Any, stages: Stages, each: Array) -> PerturbedLines:
@@ -138,7 +145,7 @@ def in_blocks(function: Callable[[Any], Any], each: Array, most: int) -> Any:
 
 def _in_turn(stages: Stages, each: Array) -> Any:
     """Results of `stages` applied in order to a batch (leading axis), in steps; in between, the batch axis is last."""
-    blocks = _blocks(each, STAGE)
+    blocks = _blocks(each, by_device(STAGE, BLOCK_ACCELERATOR))
     *others, last = stages
     axis = 0
     for stage in others:

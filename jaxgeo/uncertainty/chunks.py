@@ -2,7 +2,8 @@
 
 A chunk is drawn by two programs of one size for every count: the perturbed lines of sight, which depend on the error
 model, and their fixes, which do not. Each goes through as many blocks of lines as the chunk needs. Block k holds the
-samples from k * BLOCK on, whatever part is drawn: rounding depends on a sample's place and neighbours in its block.
+samples from k times its size on, whatever part is drawn: rounding depends on a sample's place and neighbours in its
+block.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._compile import batch_filter_jit, long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Flags, Index, Vector3
 from jaxgeo.status import counts_as_fix
@@ -26,6 +28,7 @@ from jaxgeo.uncertainty.batched_rays import (
     TRIALS,
     PerturbedLines,
     Stages,
+    block_size,
     common_ground,
     has_own_field,
     offsets_of_lines,
@@ -72,21 +75,23 @@ class Plan(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Size of the programs: samples of one call on one device, the devices, and whether the usual emitter compiles
-    them, which is quicker to run."""
+    """Size of the programs: samples of one call on one device, the devices, whether the usual emitter compiles them,
+    which is quicker to run, and the samples of a block."""
 
     capacity: int
     devices: tuple[Any, ...]
     is_long_run: bool
+    block: int = BLOCK
 
     @classmethod
     def of(cls, count: int, chunk: int, unit: int, devices: tuple[Any, ...]) -> Size:
         """The size for chunks of at most `chunk` of `count` samples, and at least `unit`; one for many counts."""
-        is_long_run = count > LONG_RUN * len(devices)
-        blocks = lambda samples: -(-samples // (len(devices) * BLOCK))  # noqa: E731
-        most = (MANY if is_long_run else FEW) // BLOCK
-        least = 1 if BLOCK % max(unit, 1) == 0 else blocks(unit + 2 * BLOCK)  # multiples of `unit` in whole blocks
-        return cls(BLOCK * max(min(blocks(chunk), most), least), devices, is_long_run)
+        is_long_run = count > LONG_RUN * len(devices) or by_device(False, True, devices)
+        block = block_size(devices)
+        blocks = lambda samples: -(-samples // (len(devices) * block))  # noqa: E731
+        most = max((MANY if is_long_run else FEW) // block, 1)
+        least = 1 if block % max(unit, 1) == 0 else blocks(unit + 2 * block)  # multiples of `unit` in whole blocks
+        return cls(block * max(min(blocks(chunk), most), least), devices, is_long_run, block)
 
 
 class Part(NamedTuple):
@@ -97,15 +102,15 @@ class Part(NamedTuple):
     share: Int[Array, ""]
 
     @classmethod
-    def of(cls, first: int, count: int, devices: int) -> Part:
-        """A part divided among some devices."""
-        return cls(*jax.tree.map(jnp.asarray, (first, count, blocks_per_device(first, count, devices))))
+    def of(cls, first: int, count: int, size: Size) -> Part:
+        """A part divided among the devices."""
+        return cls(*jax.tree.map(jnp.asarray, (first, count, blocks_per_device(first, count, size))))
 
 
-def blocks_per_device(first: int, count: int, devices: int) -> int:
+def blocks_per_device(first: int, count: int, size: Size) -> int:
     """Number of blocks of a part that each device draws."""
-    blocks = -(-(first + count) // BLOCK) - first // BLOCK
-    return -(-blocks // devices)
+    blocks = -(-(first + count) // size.block) - first // size.block
+    return -(-blocks // len(size.devices))
 
 
 class Drawn(NamedTuple):
@@ -118,11 +123,11 @@ class Drawn(NamedTuple):
     statuses: Int8[Array, " samples"]
     errors: Float[Array, "samples 3"] | None
 
-    def of_samples(self, first: int, count: int) -> Drawn:
+    def of_samples(self, first: int, count: int, size: Size) -> Drawn:
         """The chunk on the host: only the samples of the part, without the padding of each device's share."""
         moments, *rest = jax.tree.map(np.asarray, tuple(self))
-        devices, skipped = len(moments), first % BLOCK
-        share = BLOCK * blocks_per_device(first, count, devices)
+        devices, skipped = len(moments), first % size.block
+        share = size.block * blocks_per_device(first, count, size)
 
         def own(x: np.ndarray) -> np.ndarray:
             of_devices = x.reshape(devices, -1, *x.shape[1:])[:, :share]
@@ -151,8 +156,9 @@ def make_plan(
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
-    trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, 1), size)
-    trial = jax.tree.map(lambda x: np.asarray(x)[:TRIALS], trial)
+    trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, size), size)
+    some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)  # before it goes to the host
+    trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
     found = search_of_lines(search, plan.lines.inputs, nominal, trial)
     return plan._replace(fixes=plan.fixes._replace(search=found)), size
 
@@ -163,14 +169,17 @@ def _evaluated(
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, Any]:
     """(model at the observation, its roots, rotation for Sobol points, places of the ground's leaves)."""
     model = model.at(inputs, nominal)
-    return model, model.roots(), rotation_of(draws, model, inputs, nominal), places_of_ground(model, inputs)
+    roots = model.roots()
+    return model, roots, rotation_of(draws, model, roots, inputs, nominal), places_of_ground(model, inputs)
 
 
-def rotation_of(draws: AbstractDraws, model: ErrorModel, inputs: ModelInputs, nominal: NominalFix) -> Any:
+def rotation_of(
+    draws: AbstractDraws, model: ErrorModel, roots: tuple[Root, ...], inputs: ModelInputs, nominal: NominalFix
+) -> Any:
     """Rotation (axes, axes) of the draws by a model that is evaluated at the observation; None for independent ones."""
     if not isinstance(draws, Sobol):
         return None
-    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
+    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.linear_draw(roots))
 
 
 def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple[Root, ...], turn: Any) -> Stages:
@@ -203,38 +212,43 @@ def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3
     return (_draw_chunk_long if size.is_long_run else _draw_chunk_short)(plan, lines, part, centre, size, keep)
 
 
-def fixes_of_normals(
-    plan: Plan, normals: Float[Array, "points axes"], size: Size
+def fixes_of_points(
+    plan: Plan, points: Float[Array, "points axes"], size: Size
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """(offsets in m from the nominal fix, statuses) of the fixes of given standard normal vectors.
+    """(offsets in m from the nominal fix, statuses) of the fixes of points z, with error vectors L z of the `factor` L.
 
     The fixes are found by the program of the samples, so that nothing large is compiled. None if the points are more
     than a block of samples.
     """
-    count = len(normals)
-    if count > BLOCK:
+    count = len(points)
+    if count > size.block:
         return None
     room = size.capacity * len(size.devices) - count
-    lines = jax.tree.map(np.asarray, _lines_of_normals(plan.lines, normals))
+    lines = jax.tree.map(np.asarray, _lines_of_points(plan.lines, points))
     lines = jax.tree.map(lambda x: np.concatenate([x, np.broadcast_to(x[:1], (room, *x.shape[1:]))]), lines)
     if len(size.devices) > 1:
         lines = jax.device_put(lines, NamedSharding(_mesh(size.devices), PartitionSpec("samples")))
-    part = Part.of(0, count, len(size.devices))
+    part = Part.of(0, count, size)
     drawn = draw_chunk(plan.fixes, jax.tree.map(jnp.asarray, lines), part, jnp.zeros(3), size, True)
-    drawn = drawn.of_samples(0, count)
+    drawn = drawn.of_samples(0, count, size)
     return np.nan_to_num(np.asarray(drawn.errors)), np.asarray(drawn.statuses)
 
 
 @quick_filter_jit
-def _lines_of_normals(plan: LinePlan, normals: Float[Array, "points axes"]) -> PerturbedLines:
-    stages = (lambda normal: plan.model.draw(plan.roots, normal),)
-    return perturbed_lines(plan.model, plan.inputs, plan.places, stages, normals)
+def _lines_of_points(plan: LinePlan, points: Float[Array, "points axes"]) -> PerturbedLines:
+    model = plan.model
+    if model.is_normal:
+        stages = (lambda point: model.draw(plan.roots, point),)
+    else:
+        factor = model.factor()
+        stages = (lambda point: jnp.sum(factor * point[None, :], axis=1),)
+    return perturbed_lines(model, plan.inputs, plan.places, stages, points)
 
 
 def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
     def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part) -> PerturbedLines:
         whole = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
-        return _by_blocks(_lines_of_block, part.share, size.capacity, device[0], whole, part)[0]
+        return _by_blocks(_lines_of_block, part.share, size, device[0], whole, part)[0]
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part)
 
@@ -242,7 +256,7 @@ def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
 def _draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
     def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
         args = device[0], lines, plan, part, centre, keep
-        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, size.capacity, *args)
+        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, size, *args)
         return Drawn(moments[None, :, :], radii, statuses, errors)
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)), lines), plan, part, centre)
@@ -253,17 +267,26 @@ _draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_fi
 
 
 @eqx.filter_jit
-def _lines_of_block(number: Index, device: Index, plan: LinePlan, part: Part) -> tuple[PerturbedLines, tuple[()]]:
+def _lines_of_block(
+    number: Index, block: int, device: Index, plan: LinePlan, part: Part
+) -> tuple[PerturbedLines, tuple[()]]:
     stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.turn)
-    samples = _samples_of_block(number, device, part)
+    samples = _samples_of_block(number, block, device, part)
     return perturbed_lines(plan.model, plan.inputs, plan.places, stages, samples), ()
 
 
 @eqx.filter_jit
 def _fixes_of_block(
-    number: Index, device: Index, lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3, keep: bool
+    number: Index,
+    block: int,
+    device: Index,
+    lines: PerturbedLines,
+    plan: FixPlan,
+    part: Part,
+    centre: Vector3,
+    keep: bool,
 ) -> tuple[Any, Float[Array, "4 4"]]:
-    here = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, number * BLOCK, BLOCK), lines)
+    here = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, number * block, block), lines)
     offset, status = offsets_of_lines(plan.nominal, plan.search, here, plan.common)
     found = counts_as_fix(status)
     error = offset - centre[None, :]
@@ -271,26 +294,26 @@ def _fixes_of_block(
     radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
     radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
     errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
-    place = _samples_of_block(number, device, part) - part.first
+    place = _samples_of_block(number, block, device, part) - part.first
     counts = found & (place >= 0) & (place < part.count)
     return (radii, status, errors), _moments(error, counts)
 
 
-def _samples_of_block(number: Index, device: Index, part: Part) -> Int[Array, " block"]:
-    """Numbers of the samples in a block of a device's share; blocks begin at multiples of `BLOCK`."""
-    return (part.first // BLOCK + device * part.share + number) * BLOCK + jnp.arange(BLOCK)
+def _samples_of_block(number: Index, block: int, device: Index, part: Part) -> Int[Array, " block"]:
+    """Numbers of the samples in a block of a device's share; blocks begin at multiples of their size."""
+    return (part.first // block + device * part.share + number) * block + jnp.arange(block)
 
 
-def _by_blocks(function: Any, blocks: Index, capacity: int, *args: Any) -> tuple[Any, Any]:
-    """`function(number, *args)` of some blocks: results per item, with room for `capacity`, and the sums of the results
-    per block."""
+def _by_blocks(function: Any, blocks: Index, size: Size, *args: Any) -> tuple[Any, Any]:
+    """`function(number, size.block, *args)` of some blocks: results per item, with room for `size.capacity`, and the
+    sums of the results per block."""
     zeros = lambda x, *size: jnp.zeros((*size, *x.shape[len(size) :]), x.dtype)  # noqa: E731
-    each, total = eqx.filter_eval_shape(function, jnp.asarray(0), *args)
-    start = jax.tree.map(lambda x: zeros(x, capacity), each), jax.tree.map(zeros, total)
+    each, total = eqx.filter_eval_shape(function, jnp.asarray(0), size.block, *args)
+    start = jax.tree.map(lambda x: zeros(x, size.capacity), each), jax.tree.map(zeros, total)
 
     def block(number: Index, state: tuple[Any, Any]) -> tuple[Any, Any]:
-        here, more = function(number, *args)
-        put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * BLOCK, 0)  # noqa: E731
+        here, more = function(number, size.block, *args)
+        put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * size.block, 0)  # noqa: E731
         return jax.tree.map(put, state[0], here), jax.tree.map(jnp.add, state[1], more)
 
     return jax.lax.fori_loop(0, blocks, block, start)
@@ -326,7 +349,7 @@ def one_ahead(
     """(first sample, number of samples, drawn samples) chunk by chunk; the next chunk is drawn in the meantime."""
     waiting = None
     for first, count in parts:
-        part = Part.of(first, count, len(size.devices))
+        part = Part.of(first, count, size)
         drawn = draw_chunk(plan.fixes, draw_lines(plan.lines, part, size), part, centre, size, keep)
         if waiting is not None:
             yield waiting
@@ -343,7 +366,7 @@ def chunks(first: int, count: int, size: Size, unit: int, progress: bool) -> Ite
     most = size.capacity * len(size.devices)
     parts, end = [], first + count
     while first < end:
-        last = first // BLOCK * BLOCK + most
+        last = first // size.block * size.block + most
         last = min(last - last % unit, end)
         parts.append((first, last - first))
         first = last

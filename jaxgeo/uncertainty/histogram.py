@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -105,10 +106,13 @@ class Counter:
 
 def bins_of(radii: np.ndarray) -> np.ndarray:
     """Bins of radii in m, 0 or more or infinite."""
-    bits = np.ascontiguousarray(radii, np.float64).view(np.int64) >> _SHIFT
-    bins = np.clip(bits - (_BELOW - 1), 0, BINS - 2)
-    bins[bits == _INFINITE] = BINS - 1
-    return bins
+    return bin_of_bits(np.ascontiguousarray(radii, np.float64).view(np.int64), np)
+
+
+def bin_of_bits(bits: Any, xp: Any) -> Any:
+    """Bins of the bits of radii; `xp` is NumPy or `jax.numpy`."""
+    digits = bits >> _SHIFT
+    return xp.where(digits == _INFINITE, BINS - 1, xp.clip(digits - (_BELOW - 1), 0, BINS - 2))
 
 
 def lower_bound(number: int) -> float:

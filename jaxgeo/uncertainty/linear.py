@@ -58,6 +58,11 @@ class Propagation(Record):
         return self.nominal
 
     @property
+    def note(self) -> str | None:
+        """What linear propagation leaves out of errors that are not normal, as a sentence; None if all are normal."""
+        return self.model.left_out
+
+    @property
     def cov_ecef(self) -> Matrix3:
         """Covariance of the fix in ECEF, m2."""
         R = self.nominal.R_ecef_from_enu
@@ -93,9 +98,11 @@ def propagate(
 
     `errors` is an `ErrorModel`, or a tuple of sources. The Jacobian is that of the fix offset, through pose, gimbal,
     camera, atmosphere and the terrain under the fix. With `slope=Footprint()` the ground is the plane fitted over the
-    error ellipse, with `Level()` a horizontal plane. Works under `jit` and `vmap` like `locate`; differentiable in the
-    sigmas and all other inputs. Raises as `locate`, `TypeError` for an item that is not an error source, and
-    `ValueError` for a negative or NaN sigma, an invalid covariance, or a source that does not apply to the observation.
+    error ellipse, with `Level()` a horizontal plane. Of errors that are not normal only the variance is used, and the
+    radii are those of a normal error of the fix (see `Propagation.note`). Works under `jit` and `vmap` like `locate`;
+    differentiable in the sigmas and all other inputs. Raises as `locate`, `TypeError` for an item that is not an error
+    source, and `ValueError` for a negative or NaN sigma, an invalid covariance, a distribution without a finite
+    variance, or a source that does not apply to the observation.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import safe_sqrt
-from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
+from jaxgeo._typing import Index, IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
 from jaxgeo.uncertainty.method_selection import (
     AGREEMENT,
@@ -23,6 +23,7 @@ from jaxgeo.uncertainty.method_selection import (
 )
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.normality import is_nearly_normal
 from jaxgeo.uncertainty.profile import Profile, along_of
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 
@@ -51,12 +52,21 @@ def assess_fix(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, prob
 def select_linear(found: Diagnosed, nominal: NominalFix, probability: Scalar) -> LinearAccuracy:
     """Method selected by diagnostics, for radii of a probability."""
     diagnostics, facet, footprint, profile = found
-    method = select_method(diagnostics)
+    method = method_of(found)
     either = lambda a, b: jnp.where(method == Method.footprint, b, a)  # noqa: E731
     cov, bias = either(facet.cov_enu, footprint.cov_enu), either(facet.bias_enu, footprint.bias_enu)
     factors = jnp.stack(profile_factors(profile, nominal, cov, probability))
     method = jnp.where(counts_as_fix(jnp.asarray(nominal.fix.status)), method, NO_FIX)
     return LinearAccuracy(method, cov, bias, diagnostics, factors)
+
+
+def method_of(found: Diagnosed) -> Index:
+    """The method selected by diagnostics: samples also where the error of the fix is not nearly normal."""
+    method = select_method(found.diagnostics)
+    if found.facet.model.is_normal:
+        return method
+    normal = jnp.where(method == Method.footprint, is_nearly_normal(found.footprint), is_nearly_normal(found.facet))
+    return jnp.where(normal, method, Method.samples.value)
 
 
 def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:

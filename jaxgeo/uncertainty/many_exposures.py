@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._checks import as_array, as_float64, is_known
 from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
@@ -22,7 +23,7 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
 
-AT_ONCE = 16  # exposures of a block, at most: more are not faster, and one size is compiled
+AT_ONCE = 16  # exposures of a block on a CPU, at most: more are not faster, and one size is compiled
 NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
 OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
 
@@ -55,12 +56,13 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     """`accuracy` of n exposures, of arguments in the order of `NAMES`; traced ones are evaluated all at once."""
     batch, number = _check_batch(given, in_axes, request.search)
     options = (batch.shared, batch.axes, request.search, request.probability)
+    note = batch.given[NAMES.index("errors")].left_out
     if not is_known(batch.given):
-        return _of_traced(*_assess_block(batch.lanes, *options), request.probability)
+        return _of_traced(*_assess_block(batch.lanes, *options), request.probability, note)
     if number == 1:
         assessed: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
     else:
-        size = min(request.block, AT_ONCE)
+        size = min(request.block, by_device(AT_ONCE, request.block))
         parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
         assessed = concatenate([_assess_block(part, *options) for part in parts], number)
     nominals, found, radii = assessed
@@ -72,7 +74,7 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     probability, sampling = float(request.probability), request.sampling
     columns = sample_where_needed(found.method, radii, observation_at, request.search, sampling, probability)
     linear = (found.method, found.cov_enu, found.bias_enu, found.diagnostics)
-    return batch_of(nominals.fix, probability, columns, *linear, int(sampling.count or 0), (number,))
+    return batch_of(nominals.fix, probability, columns, *linear, int(sampling.count or 0), (number,), note)
 
 
 def _check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -> tuple[Batch, int]:
@@ -163,7 +165,9 @@ def _assess_block(
     return nominals, found, linear_radii(found, probability)
 
 
-def _of_traced(nominals: NominalFix, found: LinearAccuracy, radii: tuple[Any, ...], probability: Scalar) -> Accuracy:
+def _of_traced(
+    nominals: NominalFix, found: LinearAccuracy, radii: tuple[Any, ...], probability: Scalar, note: str | None
+) -> Accuracy:
     """The record of traced fixes, without samples."""
     is_linear = (found.method == Method.facet) | (found.method == Method.footprint)
     cov = jnp.where(is_linear[:, None, None], found.cov_enu, jnp.nan)
@@ -171,4 +175,4 @@ def _of_traced(nominals: NominalFix, found: LinearAccuracy, radii: tuple[Any, ..
     level, unknown = jnp.broadcast_to(probability, is_linear.shape), jnp.full(is_linear.shape, jnp.nan)
     circular, linear, spherical = radii
     figures = (circular, linear, spherical, found.method, cov, bias, unknown)
-    return Accuracy(nominals.fix, level, *figures, found.diagnostics)
+    return Accuracy(nominals.fix, level, *figures, found.diagnostics, note=note)

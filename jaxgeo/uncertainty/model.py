@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -12,12 +13,53 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64
 from jaxgeo._record import Record
-from jaxgeo._typing import StatusCode, Vector3
+from jaxgeo._typing import Numbers, StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
+from jaxgeo.uncertainty.copula import Shape, normal_correlation, root_of_correlation
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep, Tangents
 from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
 
-Root: TypeAlias = Float[Array, "..."]
+
+class ShapedRoot(NamedTuple):
+    """Root of a source that is not normal: standard deviations, distributions, and a root of the correlation of the
+    normal numbers; None if the axes are independent."""
+
+    sigma: Float[Array, " axes"]
+    shapes: tuple[Shape, ...] | Shape
+    latent: Float[Array, "axes axes"] | None
+
+    @classmethod
+    def of(cls, source: AbstractSource) -> ShapedRoot:
+        """The root of a source that is evaluated `at` an observation."""
+        given = source.distribution
+        prepare = lambda shape: None if shape is None else shape.prepared()  # noqa: E731
+        shapes = tuple(map(prepare, given)) if isinstance(given, tuple) else prepare(given)
+        if source.is_independent:
+            return cls(jnp.asarray(source.sigma), shapes, None)
+        covariance = source.covariance()
+        sigma = jnp.sqrt(jnp.diagonal(covariance))
+        safe = jnp.where(sigma > 0.0, sigma, 1.0)
+        unit = jnp.where(jnp.eye(len(sigma)) > 0.0, 1.0, covariance / (safe[:, None] * safe[None, :]))
+        return cls(sigma, shapes, root_of_correlation(normal_correlation(unit, source.shapes)[0]))
+
+    def error(self, normal: Error) -> Error:
+        """Error vector for a standard normal vector."""
+        if self.latent is not None:
+            normal = jnp.sum(self.latent * normal[None, :], axis=1)
+        if isinstance(self.shapes, tuple):
+            return self.sigma * jnp.stack([_shaped(one, z) for one, z in zip(self.shapes, normal, strict=True)])
+        return self.sigma * _shaped(self.shapes, normal)
+
+    def matrix(self) -> Float[Array, "axes axes"]:
+        """Derivative of the error by the normal vector, as if all axes were normal."""
+        return jnp.diag(self.sigma) if self.latent is None else self.sigma[:, None] * self.latent
+
+
+def _shaped(shape: Shape, normal: Numbers) -> Numbers:
+    return normal if shape is None else shape.standardised(normal)
+
+
+Root: TypeAlias = Float[Array, "..."] | ShapedRoot
 
 
 class ErrorModel(Record):
@@ -53,6 +95,28 @@ class ErrorModel(Record):
             yield source, slice(first, first + len(source.axes))
             first += len(source.axes)
 
+    @property
+    def is_normal(self) -> bool:
+        """Whether the errors of all sources are normal."""
+        return all(source.is_normal for source in self.sources)
+
+    @property
+    def finite_orders(self) -> float:
+        """Moments of the errors of orders below this one are finite."""
+        shapes = [shape for source in self.sources for shape in source.shapes if shape is not None]
+        return min((shape.finite_orders for shape in shapes), default=math.inf)
+
+    @property
+    def left_out(self) -> str | None:
+        """What a method leaves out that uses only variances, as a sentence; None if all errors are normal."""
+        names = [f"{source.label} ({_words(source)})" for source in self.sources if not source.is_normal]
+        if not names:
+            return None
+        which = (
+            f"{len(names)} source{'s' if len(names) > 1 else ''} that {'are' if len(names) > 1 else 'is'} not normal"
+        )
+        return f"Linear propagation uses the variance of {which}: {', '.join(names)}; samples use the distribution."
+
     def at(self, inputs: ModelInputs, nominal: NominalFix) -> ErrorModel:
         """The model evaluated at an observation."""
         return ErrorModel(tuple(source.at(inputs, nominal) for source in self.sources))
@@ -65,20 +129,30 @@ class ErrorModel(Record):
         return total
 
     def roots(self) -> tuple[Root, ...]:
-        """Square root of each source's covariance, which may be singular; a vector if its axes are independent."""
-        return tuple(_root(source) for source in self.sources)
+        """Square root of each source's covariance, which may be singular; a vector if its axes are independent. Of
+        sources that are not normal what `draw` needs."""
+        return tuple(_root(source) if source.is_normal else ShapedRoot.of(source) for source in self.sources)
 
     def factor(self) -> Covariance:
-        """L with L z ~ N(0, covariance) for standard normal z: the block diagonal of `roots`."""
+        """L with L L' = covariance, block diagonal by source; L z is an error vector if all sources are normal."""
+        return self._block_diagonal(tuple(_root(source) for source in self.sources))
+
+    def linear_draw(self, roots: tuple[Root, ...]) -> Covariance:
+        """Derivative of `draw` by the normal vector, as if all sources were normal."""
+        return self._block_diagonal(roots)
+
+    def _block_diagonal(self, roots: tuple[Root, ...]) -> Covariance:
         total = jnp.zeros((self.size, self.size))
-        for root, (_, place) in zip(self.roots(), self.parts(), strict=True):
-            total = total.at[place, place].set(jnp.diag(root) if root.ndim == 1 else root)
+        for root, (_, place) in zip(roots, self.parts(), strict=True):
+            block = root.matrix() if isinstance(root, ShapedRoot) else jnp.diag(root) if root.ndim == 1 else root
+            total = total.at[place, place].set(block)
         return total
 
     def draw(self, roots: tuple[Root, ...], normal: Error) -> Error:
-        """Error vector L z for a standard normal vector z, as with `factor`, without multiplying its zeros."""
-        if all(root.ndim == 1 for root in roots):
-            return jnp.concatenate(roots) * normal  # one product; many short loops are slow
+        """Error vector for a standard normal vector z: L z for normal sources, without multiplying the zeros of L."""
+        plain = [root for root in roots if not isinstance(root, ShapedRoot) and root.ndim == 1]
+        if len(plain) == len(roots):
+            return jnp.concatenate(plain) * normal  # one product; many short loops are slow
         return jnp.concatenate(
             [_times_root(root, normal[place]) for root, (_, place) in zip(roots, self.parts(), strict=True)]
         )
@@ -120,11 +194,12 @@ class ErrorModel(Record):
             source.check(inputs)
 
 
-def checked_model(errors: object, inputs: ModelInputs) -> ErrorModel:
+def checked_model(errors: object, inputs: ModelInputs, *, moments: int = 2) -> ErrorModel:
     """The model in float64, checked against an observation.
 
-    Raises `TypeError` for anything but a model, a source or a tuple or list of sources; `ValueError` if there is none;
-    and as `ErrorModel.check`.
+    `moments` is the order of the moments that the caller uses, 0 for samples. Raises `TypeError` for anything but a
+    model, a source or a tuple or list of sources; `ValueError` if there is none, or if a distribution lacks these
+    moments; and as `ErrorModel.check`.
     """
     sources = errors.sources if isinstance(errors, ErrorModel) else errors
     if isinstance(sources, AbstractSource):
@@ -144,17 +219,39 @@ def checked_model(errors: object, inputs: ModelInputs) -> ErrorModel:
         raise ValueError("errors has no source: without any, a fix is as exact as its input.")
     model = as_float64(ErrorModel(tuple(sources)), "errors")
     model.check(inputs)
+    for source in model.sources:
+        _check_moments(source, moments)
     return model
 
 
-def _root(source: AbstractSource) -> Root:
+def _check_moments(source: AbstractSource, order: int) -> None:
+    for shape in source.shapes:
+        if shape is not None and order and not shape.finite_orders > order:
+            what = (
+                "variance, which linear propagation, budgets and fits need"
+                if order <= 2
+                else ("fourth moment, which sigma points and second order need")
+            )
+            raise ValueError(
+                f"{source.label}: {shape.words} has no finite {what}. Draw samples with jaxgeo.sample, which need "
+                f"none, or take a distribution with lighter tails (StudentT with df above {order})."
+            )
+
+
+def _words(source: AbstractSource) -> str:
+    return ", ".join(dict.fromkeys("normal" if shape is None else shape.words for shape in source.shapes))
+
+
+def _root(source: AbstractSource) -> Float[Array, "..."]:
     """Square root of a source's covariance; its diagonal as a vector if the axes are independent."""
-    if source.correlation is None and len(source.sigma_axes) == len(source.axes):
+    if source.is_independent:
         return jnp.asarray(source.sigma)
     values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(source.covariance()))
     return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]  # largest variance first
 
 
 def _times_root(root: Root, normal: Error) -> Error:
+    if isinstance(root, ShapedRoot):
+        return root.error(normal)
     # rounding of a matrix product depends on the batch size
     return root * normal if root.ndim == 1 else jnp.sum(root * normal[None, :], axis=1)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxgeo.uncertainty.batched_rays import BLOCK
+from jaxgeo.uncertainty.batched_rays import block_size
 from jaxgeo.uncertainty.intervals import relative_half_width
 from jaxgeo.uncertainty.sampled_record import Sampled
 
@@ -57,9 +57,9 @@ def drawn_together(draw: Callable[[int, int], Sampled], first: int, count: int, 
 
 def divided(first: int, count: int, unit: int, processes: int) -> list[tuple[int, int]]:
     """(first sample, number of samples) of each process: multiples of `unit`, in whole blocks if possible."""
-    share = -(-count // processes)
+    share, block = -(-count // processes), block_size()
     ends = [first + min(share * (number + 1), count) for number in range(processes)]
-    whole = [end if end == first + count else max(-(-end // BLOCK) * BLOCK // unit * unit, first) for end in ends]
+    whole = [end if end == first + count else max(-(-end // block) * block // unit * unit, first) for end in ends]
     ends = [min(end, first + count) for end in whole]
     return [(start, end - start) for start, end in zip([first, *ends[:-1]], ends, strict=True)]
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
@@ -19,10 +20,20 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty._second_order import Moments, moments_of_points, sigma_moments, sigma_points_of
-from jaxgeo.uncertainty.chunks import Drawn, Plan, Size, chunks, fixes_of_normals, make_plan, one_ahead
+from jaxgeo.uncertainty._second_order import Moments, axis_moments, moments_of_points, sigma_moments, sigma_points_of
+from jaxgeo.uncertainty.chunks import (
+    Drawn,
+    Plan,
+    Size,
+    blocks_per_device,
+    chunks,
+    fixes_of_points,
+    make_plan,
+    one_ahead,
+)
+from jaxgeo.uncertainty.device_counts import DeviceCounts
 from jaxgeo.uncertainty.draws import AbstractDraws
-from jaxgeo.uncertainty.histogram import Counter
+from jaxgeo.uncertainty.histogram import Counter, RadiusHistogram
 from jaxgeo.uncertainty.host_arrays import with_bar
 from jaxgeo.uncertainty.intervals import relative_half_width
 from jaxgeo.uncertainty.method_selection import Method
@@ -102,7 +113,7 @@ def sample(
         raise ValueError("keep returns every sample, and summary none; leave one of them out.")
     timeout = check_timeout(timeout)
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, inputs)
+    model = checked_model(errors, inputs, moments=0)
     nominal = inputs.nominal_fix(search)
     refuse_traced("sample", nominal)  # inside of jit, if all arguments are constants of its program
     nominal.require_fix()
@@ -161,17 +172,19 @@ class Sampler(NamedTuple):
         """`sigma_points`, whose fixes are found by the program of the samples."""
         inputs, model = self.plan.lines.inputs, self.plan.lines.model
         nominal = self.plan.fixes.nominal
-        fixes = fixes_of_normals(self.plan, sigma_points_of(model.size), self.size)
+        order = axis_moments(model)
+        fixes = fixes_of_points(self.plan, sigma_points_of(model.size, order), self.size)
         if fixes is None:
             return sigma_moments(inputs, nominal, model, self.values["search"])
-        return moments_of_points(nominal, *map(jnp.asarray, fixes))
+        offsets, statuses = map(jnp.asarray, fixes)
+        return moments_of_points(nominal, offsets, statuses, order)
 
     def draw(
         self, first: int, count: int, wanted: Wanted, centre: np.ndarray, half_width: float | None = None
     ) -> Sampled:
         """Samples from number `first` on, until the first figure is known to `half_width`."""
         options = self.options
-        tally = _Tally(first, count, options.scrambles, wanted)
+        tally = _Tally(first, count, options.scrambles, wanted, self.size)
         parts = chunks(first, count, self.size, max(options.scrambles, 1), options.progress)
         for start, number, drawn in one_ahead(self.plan, parts, jnp.asarray(centre), self.size, wanted.keep):
             tally.add(start, number, drawn)
@@ -237,18 +250,29 @@ def sample_where_needed(
 class _Tally:
     """Results accumulated over chunks of a run: sums, statuses, radii or their counts, and samples if requested."""
 
-    def __init__(self, first: int, count: int, scrambles: int, wanted: Wanted) -> None:
-        self.first, self.count, self.scrambles = first, 0, scrambles
+    def __init__(self, first: int, count: int, scrambles: int, wanted: Wanted, size: Size) -> None:
+        self.first, self.count, self.scrambles, self.size = first, 0, scrambles, size
         self.checked_at = 0
         self.sums = np.zeros((4, 4))
         self.codes = np.zeros(len(Status), int)
         groups = max(scrambles, 1)
-        self.counters = {figure: Counter(groups) for figure in wanted.figures} if wanted.summary else None
+        self.figures = wanted.figures
+        is_on_device = wanted.summary and by_device(False, True, size.devices)
+        radii = [FIGURES.index(figure) for figure in wanted.figures]
+        self.on_device = DeviceCounts(radii, groups, size) if is_on_device else None
+        is_counted = wanted.summary and not is_on_device
+        self.counters = {figure: Counter(groups) for figure in wanted.figures} if is_counted else None
         self.radii = {} if wanted.summary else {figure: np.empty(count) for figure in wanted.figures}
         self.kept = (np.empty((count, 3)), np.empty(count, np.int8)) if wanted.keep else None
 
     def add(self, first: int, count: int, drawn: Drawn) -> None:
-        drawn = drawn.of_samples(first, count)
+        if self.on_device is not None:
+            share = self.size.block * blocks_per_device(first, count, self.size)
+            self.on_device.add(first, count, share, drawn)
+            self.count += count
+            self.sums += np.asarray(drawn.moments).sum(axis=0)
+            return
+        drawn = drawn.of_samples(first, count, self.size)
         place = slice(first - self.first, first - self.first + count)
         self.count += count
         self.sums += drawn.moments.sum(axis=0)
@@ -268,23 +292,30 @@ class _Tally:
         if self.count < 1.25 * self.checked_at:
             return False
         self.checked_at = self.count
-        if self.counters is not None:
-            interval = next(iter(self.counters.values())).histogram().interval(0.9, confidence)
+        histograms = self.histograms(self.figures[:1])
+        if histograms is not None:
+            interval = histograms[self.figures[0]].interval(0.9, confidence)
         else:
             radii = next(iter(self.radii.values()))[: self.count]
             interval = interval_of_radii(radii, 0.9, confidence, self.scrambles)
         return relative_half_width(interval) <= half_width
 
+    def histograms(self, figures: Sequence[str]) -> dict[str, RadiusHistogram] | None:
+        """Histograms of some figures so far; None if the radii are kept."""
+        if self.on_device is not None:
+            return {figure: self.on_device.histogram(self.figures.index(figure)) for figure in figures}
+        return None if self.counters is None else {figure: self.counters[figure].histogram() for figure in figures}
+
     def result(self, fix: Fix, centre: np.ndarray, confidence: float, origin: Origin) -> Sampled:
         runs = (SampleRun(self.first, self.count, self.sums),)
         found, mean, cov = moments_of(runs, centre)
         kept = (None, None) if self.kept is None else tuple(part[: self.count] for part in self.kept)
-        counters = self.counters
+        codes = self.codes if self.on_device is None else self.on_device.codes()
         return Sampled(
             fix=fix,
             count=self.count,
             found=found,
-            statuses={Status(code): int(number) for code, number in enumerate(self.codes) if number},
+            statuses={Status(code): int(number) for code, number in enumerate(codes) if number},
             mean_enu=mean,
             cov_enu=cov,
             centre_enu=centre,
@@ -293,7 +324,7 @@ class _Tally:
             confidence=confidence,
             errors_enu=kept[0],
             codes=kept[1],
-            histograms=None if counters is None else {name: one.histogram() for name, one in counters.items()},
+            histograms=self.histograms(self.figures),
             runs=runs,
             origin=origin,
         )

@@ -26,6 +26,7 @@ from jaxgeo.uncertainty._budget import source_names
 from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
     FixOffsets,
+    block_size,
     common_ground,
     in_blocks,
     offsets_of_lines,
@@ -34,7 +35,7 @@ from jaxgeo.uncertainty.batched_rays import (
 )
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
-from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model import ErrorModel, Root, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 
@@ -131,12 +132,13 @@ class SobolIndices(Record):
 
 
 class Plan(NamedTuple):
-    """Inputs of the map from standard normal numbers to fix offsets."""
+    """Inputs of the map from standard normal numbers to fix offsets; `roots` if some errors are not normal."""
 
     inputs: ModelInputs
     nominal: NominalFix
     model: ErrorModel
-    factor: Float[Array, "axes axes"]
+    factor: Float[Array, "axes axes"] | None
+    roots: tuple[Root, ...] = ()
 
 
 @accepts_sampling_options
@@ -266,7 +268,9 @@ def _units(count: int, draws: AbstractDraws) -> np.ndarray:
 def make_plan(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Plan:
     """The model at an observation, with a factor that keeps sources and independent axes separate."""
     model = model.at(inputs, nominal)
-    return Plan(inputs, nominal, model, model.factor())
+    if model.is_normal:
+        return Plan(inputs, nominal, model, model.factor())
+    return Plan(inputs, nominal, model, None, model.roots())
 
 
 @batch_filter_jit
@@ -276,6 +280,8 @@ def offsets_of(
     """(fix offsets in m for standard normal errors, whether there is a fix)."""
 
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
+        if plan.factor is None:
+            return plan.model.draw(plan.roots, normal)
         return jnp.sum(plan.factor * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
 
     places = places_of_ground(plan.model, plan.inputs)
@@ -285,7 +291,7 @@ def offsets_of(
         lines = perturbed_lines(plan.model, plan.inputs, places, (error_of,), normals)
         return offsets_of_lines(plan.nominal, search, lines, common)
 
-    offset, status = in_blocks(some, normals, BLOCK)
+    offset, status = in_blocks(some, normals, block_size())
     return offset, counts_as_fix(status)
 
 

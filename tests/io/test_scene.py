@@ -353,3 +353,75 @@ def test_errors_that_do_not_fit_the_gimbal(scene_file, kind: str, errors: str, w
     text = GOOD.replace('kind = "two_axis"\nouter_deg = 60.0\ninner_deg = -1.0', kind)
     with pytest.raises(SceneError, match=word):
         read_scene(scene_file(f"{text}\n[errors]\n{errors}\n"))
+
+
+@pytest.mark.parametrize(
+    "errors, sigma, shape",
+    [
+        ('gimbal_deg = {sigma = 0.02, distribution = "uniform"}', [0.02, 0.02], "uniform"),
+        ('gimbal_deg = {plus_minus = [0.3, 0.6], distribution = "uniform"}', [0.1732050808, 0.3464101615], "uniform"),
+        ("gimbal_deg = {plus_minus = 0.1, sigmas = 2, distribution = 'normal'}", [0.05, 0.05], None),
+        ("gimbal_deg = {plus_minus = 0.1, coverage = 0.95, distribution = 'normal'}", [0.0510213457] * 2, None),
+        ("gimbal_deg = {rms = 0.1, axes = 1}", [0.1, 0.1], None),
+        ('gimbal_deg = {sigma = 0.1, distribution = "student-t", df = 5}', [0.1, 0.1], "Student-t with 5 degrees of"),
+        ('gimbal_deg = {sigma = 0.1, distribution = "outliers", share = 0.1, times = 5}', [0.1, 0.1], "a mixture of 2"),
+        ("gimbal_deg = {sigma = 0.1}", [0.1, 0.1], None),
+    ],
+)
+def test_errors_as_data_sheets_state_them(scene_file, errors: str, sigma: list[float], shape: str | None) -> None:
+    model = read_scene(scene_file(f"{GOOD}\n[errors]\n{errors}\n")).errors
+    assert model is not None
+    (source,) = model.sources
+    np.testing.assert_allclose(np.rad2deg(np.asarray(source.sigma)), sigma, rtol=1e-9)
+    for one in source.shapes:
+        assert one is None if shape is None else one.words.startswith(shape)
+
+
+def test_radii_of_positions_and_heights_are_sigmas(scene_file) -> None:
+    text = "[errors]\nposition_m = {ce = 1.5, le = 3.0, probability = 0.9}\nterrain_m = {le = 5.0, probability = 0.9}\n"
+    model = read_scene(scene_file(GOOD + text)).errors
+    assert model is not None
+    position, terrain = model.sources
+    np.testing.assert_allclose(position.sigma, [0.6989859, 0.6989859, 1.8238705], rtol=1e-6)
+    np.testing.assert_allclose(terrain.sigma, [3.0397842], rtol=1e-7)
+    text = "[errors]\nterrain_m = {sigma = 5.0, distribution = 'laplace'}\nterrain_correlation_m = 800.0\n"
+    model = read_scene(scene_file(GOOD + text)).errors
+    assert model is not None
+    assert model.sources[0].shapes[0].words == "Laplace"
+    text = "[errors]\nposition_m = {se = 3.0, probability = 0.5}\n"
+    model = read_scene(scene_file(GOOD + text)).errors
+    assert model is not None
+    np.testing.assert_allclose(model.sources[0].sigma, 3 * [1.9503667], rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "errors, words",
+    [
+        ("gimbal_deg = {plus_minus = 0.1}", ["[errors] gimbal_deg", '"uniform": sigma 0.05774', "sigmas=2"]),
+        ("gimbal_deg = {sigma = 0.1, distribution = 'gaussian'}", ["gimbal_deg", "one of normal, uni", "'gaussian'"]),
+        ("gimbal_deg = {sigma = 0.1, plus_minus = 0.1}", ["gimbal_deg: give one of sigma, plus_minus, rms"]),
+        ("gimbal_deg = {distribution = 'uniform'}", ["gimbal_deg: give one of", "none of them"]),
+        ("gimbal_deg = {sigma = [0.1, 0.1, 0.1]}", ["gimbal_deg.sigma", "2 numbers"]),
+        ("gimbal_deg = {sigma = -0.1}", ["gimbal_deg] sigma", "at least 0"]),
+        ("gimbal_deg = {sigm = 0.1}", ["gimbal_deg] sigm = 0.1", "write sigma"]),
+        ("gimbal_deg = {sigma = 'x'}", ["gimbal_deg] sigma = 'x'", "standard deviation"]),
+        ("gimbal_deg = {rms = 0.1}", ["gimbal_deg", "axes=1: sigma 0.1"]),
+        ("gimbal_deg = {sigma = 0.1, sigmas = 2}", ["gimbal_deg: sigmas goes with plus_minus"]),
+        ("gimbal_deg = {sigma = 0.1, distribution = 'student-t'}", ['distribution = "student-t" needs df']),
+        ("gimbal_deg = {sigma = 0.1, distribution = 'student-t', df = 0}", ["df of StudentT"]),
+        ("gimbal_deg = {sigma = 0.1, df = 3}", ['distribution = "student-t" alone has df']),
+        ("gimbal_deg = {sigma = 0.1, distribution = 'outliers', share = 2, times = 3}", ["share must lie in"]),
+        ("gimbal_deg = {plus_minus = 0.1, distribution = 'laplace'}", ["plus_minus goes with"]),
+        ("gimbal_deg = {ce = 0.1, probability = 0.5}", ["gimbal_deg: of these errors give none of ce, le and se"]),
+        ("position_m = {ce = 1.5}", ["position_m", "of these errors give ce and le, or se"]),
+        ("position_m = {ce = 1.5, le = 2.0}", ["position_m", "0.5 (CEP): sigma 1.274"]),
+        ("position_m = {ce = 1.5, le = 2.0, probability = 90}", ["position_m: probability must lie between 0 and 1"]),
+        ("terrain_m = {le = 5.0, distribution = 'uniform', probability = 0.9}", ["distribution goes with sigma"]),
+    ],
+)  # fmt: skip
+def test_mistakes_about_stated_errors_are_named(scene_file, errors: str, words: list[str]) -> None:
+    with pytest.raises(SceneError) as error:
+        read_scene(scene_file(f"{GOOD}\n[errors]\n{errors}\n"))
+    for word in words:
+        assert word in str(error.value)
+    assert "\n" not in str(error.value)

@@ -27,6 +27,7 @@ from jaxgeo import (
     Shot,
     Status,
     Trajectory,
+    _accelerator,
     project,
 )
 from jaxgeo.io.gridding import make_grid
@@ -181,6 +182,21 @@ def test_cells_hold_what_project_sees_through_a_lens(name: str) -> None:
     assert isinstance(grid, kind)
     found = rectify(sensor, shot(), PICTURES, terrain, grid, CELLS, mask_hidden=False)
     check(found, expected(sensor, shot(), terrain, grid, mask=False))
+
+
+@pytest.mark.slow
+def test_tiles_of_an_accelerator_are_those_of_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled for a CPU: other tiles, blocks within them, and lines of sight at once."""
+    pitch, height, away, east, voids = LOOKS["flat, over voids"]
+    given = sensor_of(PLAIN), shot(pitch, height, away), PICTURES, ground(voids=voids), cells_about(east, 0.0, COARSE)
+    usual = rectify(*given, CELLS)
+    monkeypatch.setattr(_accelerator, "on_accelerator", lambda *_: True)
+    for name, size in {"TILE_ACCELERATOR": 64, "SIDE_ACCELERATOR": 16, "SEARCHED_ACCELERATOR": 777}.items():
+        monkeypatch.setattr(sys.modules["jaxgeo.ortho.rectification"], name, size)
+    found = rectify(*given, CELLS)
+    assert {Status.hit, Status.hidden_by_terrain, Status.hits_void} <= set(np.unique(usual.status).tolist())
+    np.testing.assert_array_equal(found.status, usual.status)
+    np.testing.assert_allclose(found.orthoimage.values, usual.orthoimage.values, rtol=0, atol=1e-6)  # px
 
 
 @pytest.mark.slow

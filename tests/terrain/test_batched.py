@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.scenes import flat, hit, local_ray, rough, small_dem, stack
 
-from jaxgeo import Dem, Geodetic, Ray, Status, intersect
+from jaxgeo import Dem, Geodetic, Ray, Status, _accelerator, intersect
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import TangentGrid
-from jaxgeo.terrain.search import batched
+from jaxgeo.terrain.search import batched, first_hit
 
 SAME = 5e-9  # m of clearance: what the rounding of an ECEF position leaves open, and other batches round otherwise
 
@@ -47,6 +47,19 @@ def test_a_part_in_small_blocks_many_rounds_and_bundles_is_answered_like_the_who
     monkeypatch.setattr(batched, "_first_pass", lambda *args, first=batched._first_pass: made.append(0) or first(*args))
     part = hit_all(jax.tree.map(lambda x: x[700 : 700 + count], mountains.rays), mountains.dem)
     assert made
+    assert_same(part, jax.tree.map(lambda x: x[700 : 700 + count], together))
+
+
+@pytest.mark.slow
+def test_batches_of_an_accelerator_are_answered_like_those_of_a_cpu(mountains, together, monkeypatch):
+    """Compiled for a CPU: parts of one large block each, and rounds of two blocks and more. No other test has as many
+    rays."""
+    count = 1201
+    monkeypatch.setattr(_accelerator, "on_accelerator", lambda *_: True)
+    monkeypatch.setattr(first_hit, "AT_ONCE_ACCELERATOR", 640)
+    monkeypatch.setattr(batched, "SMALL_BLOCK", 64)  # from here on there is a first pass
+    monkeypatch.setattr(batched, "SMALL_ACCELERATOR", 64)
+    part = hit_all(jax.tree.map(lambda x: x[700 : 700 + count], mountains.rays), mountains.dem)
     assert_same(part, jax.tree.map(lambda x: x[700 : 700 + count], together))
 
 

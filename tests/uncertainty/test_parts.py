@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import ConstantHeight, Status
-from jaxgeo.uncertainty import ErrorModel, Random, Sampled, Sampling, Sobol, sample, sources
+from jaxgeo import ConstantHeight, Status, _accelerator
+from jaxgeo.uncertainty import ErrorModel, Random, Sampled, Sampling, Sobol, batched_rays, sample, sources
 from jaxgeo.uncertainty.chunks import BLOCK
 from jaxgeo.uncertainty.histogram import BINS, Counter, RadiusHistogram, bins_of, lower_bound
 from jaxgeo.uncertainty.intervals import quantile_interval, scramble_quantile, scrambled_interval
@@ -53,6 +53,23 @@ def assert_same_samples(found: Sampled, expected: Sampled) -> None:
     np.testing.assert_allclose(found.mean_enu, expected.mean_enu, rtol=0, atol=1e-11)
     scale = np.abs(expected.cov_enu).max()
     np.testing.assert_allclose(found.cov_enu, expected.cov_enu, rtol=0, atol=1e-12 * scale)
+
+
+@pytest.mark.slow
+def test_samples_of_an_accelerator_are_those_of_a_cpu(whole, monkeypatch) -> None:
+    """Compiled for a CPU: blocks of another size, and radii counted without going to the host."""
+    monkeypatch.setattr(_accelerator, "on_accelerator", lambda *_: True)
+    monkeypatch.setattr(batched_rays, "BLOCK_ACCELERATOR", 2048)
+    found = part(0, COUNT)
+    np.testing.assert_array_equal(found.codes, whole.codes)
+    np.testing.assert_allclose(found.errors_enu, whole.errors_enu, rtol=0, atol=1e-6)  # m
+    counted = [part(first, end, keep=False, summary=True) for first, end in ((0, 5000), (5000, COUNT))]
+    summary = counted[0].merge(counted[1])
+    assert (summary.count, summary.statuses) == (found.count, found.statuses)
+    for figure in found.figures:
+        expected = RadiusHistogram.of(found.radii[figure])
+        np.testing.assert_array_equal(summary.histograms[figure].bins, expected.bins)
+        np.testing.assert_array_equal(summary.histograms[figure].counts, expected.counts)
 
 
 @pytest.mark.parametrize("cuts", [(1,), (BLOCK, 2 * BLOCK), (7, 3391, 3393, 17_001, COUNT - 1)])

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int, Int32
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
@@ -51,6 +52,9 @@ if TYPE_CHECKING:
 
 LARGE_BLOCK = 4096  # rays of the first pass at a time: their tracks fit a core's cache
 SMALL_BLOCK = 2048
+LARGE_ACCELERATOR, SMALL_ACCELERATOR = 2**23, 2**18  # on an accelerator: all rays of a part, and most of those left
+LEFT, LEFT_ACCELERATOR = 8, 3  # one of so many rays of a block may wait for the next round
+MOVES = 4  # between two looks at how many are left
 FEW = 256  # rays of a beam at a time that are left after the first pass
 BUNDLE = 32  # neighbouring rays that look for a common start
 STRIDE = 8  # finest intervals that a march settles before the ray may skip again
@@ -70,7 +74,8 @@ def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None = None) -> tu
         store = Store.of(*_at_start(ray, way, ground, beam))
         walker, _ = store.unpacked()
         waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
-    store = _rounds(store, waiting, left, ray, way, ground, SMALL_BLOCK if beam is None else FEW)
+    most = by_device(SMALL_BLOCK if beam is None else FEW, SMALL_ACCELERATOR)
+    store = _rounds(store, waiting, left, ray, way, ground, most)
     return store.unpacked()
 
 
@@ -91,7 +96,7 @@ def _rise(way: Way, dem: Dem) -> Scalar:
 def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Store, Int[Array, " list"], Index]:
     """One pass over all rays in contiguous blocks, the last one padded; and the list of unfinished rays."""
     count = way.start.shape[0]
-    blocks = -(-count // LARGE_BLOCK)
+    blocks, share = -(-count // by_device(LARGE_BLOCK, LARGE_ACCELERATOR)), by_device(LEFT, LEFT_ACCELERATOR)
     size = BUNDLE * -(-count // (BUNDLE * blocks))
     whole = blocks * size
     filled = lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], whole - count, axis=0)])  # noqa: E731
@@ -104,11 +109,11 @@ def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
         (here_ray, here_way), here = jax.tree.map(part, (ray, way)), ground.of_rays(part)
         walker, track = _at_start(here_ray, here_way, here, beam)
-        few = 0 if beam is None else size // 8  # rays outside the beam wait for the rounds
+        few = 0 if beam is None else size // share  # rays outside the beam wait for the rounds
         walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way, few)
         if beam is None:
             walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
-        walker = _one_round(walker, track, here, here_way, few=size // 8)
+        walker = _one_round(walker, track, here, here_way, few=size // share)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
         index = first + jnp.arange(size, dtype=jnp.int32)
@@ -127,6 +132,7 @@ def _rounds(
 ) -> Store:
     """Process the list repeatedly, in blocks of `most` rays, until it is empty."""
     count = way.start.shape[0]
+    share = by_device(LEFT, LEFT_ACCELERATOR)
     size = min(most, max(64, 1 << (count - 1).bit_length()))
     waiting = jnp.pad(waiting, (0, size))
 
@@ -139,7 +145,7 @@ def _rounds(
         pick = lambda x: x.at[index].get(mode="clip")  # noqa: E731
         (here_ray, here_way), here = jax.tree.map(pick, (ray, way)), ground.of_rays(pick)
         walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way)
-        walker = _one_round(walker, track, here, here_way, few=jnp.where(left > size, size // 8, 0), left=left)
+        walker = _one_round(walker, track, here, here_way, few=jnp.where(left > size, size // share, 0), left=left)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda x, some: x.at[:, index].set(some, mode="drop", unique_indices=True), store, done)
         newcomers, some = _listed(index, ~walker.is_over)
@@ -264,7 +270,7 @@ def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
     spreads = tuple(spread(all_, first) for all_, first in zip(quartics(stretch), quartics(leader), strict=True))
 
     tau = jax.vmap(lambda stretch, spread: clear_ahead(stretch, dem, spread))(leader, spreads)
-    clear_to = jnp.repeat(tau, BUNDLE, total_repeat_length=walker.here.shape[0])
+    clear_to = jnp.broadcast_to(tau[:, None], (tau.shape[0], BUNDLE)).reshape(-1)
     return eqx.tree_at(lambda w: w.here, walker, jax.vmap(place_at, (0, 0, None))(stretch, clear_to, 2))
 
 
@@ -273,7 +279,7 @@ def skip_ahead(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> 
     is_walking = ~walker.fresh & ~walker.is_over
     entered = has_entered(walker.news)
 
-    def move(_: Index, here: Int[Array, " rays"]) -> Int[Array, " rays"]:
+    def move(_: Index | int, here: Int[Array, " rays"]) -> Int[Array, " rays"]:
         return jax.vmap(lambda here, stretch, entered: advance(here, stretch, dem, entered, NO_SPREAD))(
             here, stretch, entered
         )
@@ -281,5 +287,12 @@ def skip_ahead(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> 
     def many_are_passing(here: Int[Array, " rays"]) -> Flag:
         return jnp.sum(is_walking & is_passing(here, stretch), dtype=jnp.int32) > few
 
-    moved = jax.lax.while_loop(many_are_passing, lambda here: jax.lax.fori_loop(0, 4, move, here), walker.here)
+    def some(here: Int[Array, " rays"]) -> Int[Array, " rays"]:
+        if by_device(True, False):
+            return jax.lax.fori_loop(0, MOVES, move, here)
+        for number in range(MOVES):  # fewer kernels, which read the tracks once
+            here = move(number, here)
+        return here
+
+    moved = jax.lax.while_loop(many_are_passing, some, walker.here)
     return eqx.tree_at(lambda w: w.here, walker, jnp.where(is_walking, moved, walker.here))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Int
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._numerics import newton_or_half, safe_sqrt
 from jaxgeo._typing import Flags, Scalar
 from jaxgeo.earth.ellipsoid import WGS84
@@ -34,7 +35,7 @@ from jaxgeo.terrain.track import Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-AT_ONCE = 131_072  # rays; bounds the memory of the search
+AT_ONCE, AT_ONCE_ACCELERATOR = 131_072, 2**23  # rays; bounds the memory of the search
 LIFT = 2.0 * ON_GROUND  # m; far less than the room for the polish, which removes it again
 ROOM = 2e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
 ROOT_STEPS = 3  # and one more on the exact map
@@ -87,9 +88,9 @@ def _(axis_size, in_batched, ray: Ray, dem: Dem, beam: Beam | None):
 
 @custom_vmap
 def _first_hits(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
-    """Brackets of many rays (leading axis); more than `AT_ONCE` are split into parts."""
+    """Brackets of many rays (leading axis); more than fit at once are split into parts."""
     count = rays.origin.shape[0]
-    parts = -(-count // AT_ONCE)
+    parts = -(-count // by_device(AT_ONCE, AT_ONCE_ACCELERATOR))
     size = -(-count // parts) if count else 0
     if parts <= 1:
         return _search(rays, ground, beam) if count else jax.vmap(lambda _: _nothing())(rays.origin)

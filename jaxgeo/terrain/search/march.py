@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, Scalar, ScalarField, StatusCode
@@ -23,6 +24,7 @@ Rays = Float[Array, " rays"]
 
 WALL = 1e-6  # m: a surface without voids is continuous to far less
 LEAST_STEP = 2.0**-52  # of tau: changes any value in [-1, 1]
+STEPS = 2  # between two checks for the end, on an accelerator
 ON_A_LINE = 1e-9  # cells: a line of posts nearer than this counts as crossed
 SAME_PLACE = 1e-9  # of the rest of the march: a turning point nearer than this counts as passed
 
@@ -161,7 +163,9 @@ def march_all(
     """March a batch (leading axis) from `begin` to `end`, until at most `few` rays are still marching."""
 
     def move(march: March) -> March:
-        return ground.each(step, march, track, end)
+        for _ in range(by_device(1, STEPS)):
+            march = ground.each(step, march, track, end)
+        return march
 
     def many_are_on_the_way(march: March) -> Flag:
         return jnp.sum(~march.is_done(end), dtype=jnp.int32) > few

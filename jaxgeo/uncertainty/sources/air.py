@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import equinox as eqx
-from jax.typing import ArrayLike
 
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight
-from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+from jaxgeo.uncertainty.sources.base import AbstractSource, Axis, Correlation, Error, Sigma, stated
 
 
 class Refraction(AbstractSource):
@@ -22,9 +21,9 @@ class Refraction(AbstractSource):
     unit: ClassVar = "K and Pa"
 
     @classmethod
-    def from_kelvin_and_pascal(cls, *, temperature: ArrayLike, pressure: ArrayLike, **options: Any) -> Refraction:
+    def from_kelvin_and_pascal(cls, *, temperature: Axis, pressure: Axis, **options: Any) -> Refraction:
         """From standard deviations in K and Pa."""
-        return cls(sigmas(temperature, pressure), **options)
+        return cls(**stated((temperature, pressure), options))
 
     def check(self, inputs: ModelInputs) -> None:
         if inputs.air is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -13,6 +14,9 @@ from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete, require_x64
 from jaxgeo._record import Record
+from jaxgeo.uncertainty.copula import Shape, normal_correlation
+from jaxgeo.uncertainty.datasheet import Stated
+from jaxgeo.uncertainty.distributions import AbstractDistribution
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, TimeCorrelated
 
@@ -26,16 +30,22 @@ else:
     Sigma: TypeAlias = Num[ArrayLike, " axes"]
     Correlation: TypeAlias = Num[ArrayLike, "axes axes"] | None
 
+REACHED = 1e-3  # tolerance of a correlation that distributions can just have
 NEGATIVE = 1e-9  # of the largest eigenvalue: rounding tolerance for negative eigenvalues
 
 
 class AbstractSource(Record):
-    """One error source: a vector e ~ N(0, D R D), D of `sigma`, R the `correlation`, that perturbs an observation.
+    """One error source: a vector e with zero mean and covariance D R D, D of `sigma`, R the `correlation`, that
+    perturbs an observation.
 
     `sigma` holds standard deviations in rad, m, px, s, K or Pa, one for each of `names`; without a `correlation` the
-    axes are independent. `sharing` is the correlation of the error between two measurements.
+    axes are independent. `sharing` is the correlation of the error between two measurements. The errors are normal, or
+    have a `distribution` of `jaxgeo.uncertainty.distributions`: one for all axes, or a tuple with one for each (None:
+    normal). The correlation is that of the errors; they are drawn by a Gaussian copula, which keeps the distribution
+    of each axis. Linear propagation, adjustment and registration use the covariance alone.
     """
 
+    distribution: Any = eqx.field(default=None, kw_only=True)
     sigma: eqx.AbstractVar[Sigma]
     correlation: eqx.AbstractVar[Correlation]
     sharing: eqx.AbstractVar[AbstractSharing]
@@ -57,6 +67,23 @@ class AbstractSource(Record):
     def sigma_axes(self) -> tuple[str, ...]:
         """Names of the entries of `sigma`."""
         return self.axes
+
+    @property
+    def is_normal(self) -> bool:
+        """Whether the errors of all axes are normal."""
+        shapes = self.distribution if isinstance(self.distribution, tuple) else (self.distribution,)
+        return all(shape is None for shape in shapes)
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether the errors of the axes are independent, each with its own sigma."""
+        return self.correlation is None and len(self.sigma_axes) == len(self.axes)
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Distribution of each axis; None is normal."""
+        given = self.distribution
+        return given if isinstance(given, tuple) else (given,) * len(self.axes)
 
     def at(self: SourceT, inputs: ModelInputs, nominal: NominalFix) -> SourceT:
         """The source evaluated at an observation; only sources that vary over the ground change."""
@@ -83,10 +110,14 @@ class AbstractSource(Record):
         del inputs
 
     def check_numbers(self) -> None:
-        """Raise `ValueError` for a sigma that is negative or not finite, or an invalid correlation."""
+        """Raise `ValueError` for a sigma that is negative or not finite, an invalid correlation or distribution, and
+        `TypeError` for anything else as a distribution.
+        """
         check_sigma(self.sigma, self.sigma_axes, self.label)
         if self.correlation is not None:
             check_correlation(self.correlation, len(self.axes), self.label)
+        if self.distribution is not None:
+            check_distribution(self)
         if isinstance(self.sharing, TimeCorrelated):
             self.sharing.check()
 
@@ -112,6 +143,26 @@ def sigmas(*values: ArrayLike, degrees: bool = False) -> Array:
     return jnp.deg2rad(stacked) if degrees else stacked
 
 
+Axis: TypeAlias = ArrayLike | Stated  # standard deviation of an axis
+
+
+def stated(values: Sequence[Axis], options: Mapping[str, Any], *, degrees: bool = False) -> dict[str, Any]:
+    """Arguments of a source: `sigma` and `distribution` from one value per axis (see `sigmas`), and its `options`.
+
+    Raises `ValueError` if both a value and the options have a distribution.
+    """
+    numbers = [value.sigma if isinstance(value, Stated) else value for value in values]
+    shapes = tuple(value.distribution if isinstance(value, Stated) else None for value in values)
+    found: dict[str, Any] = {"sigma": sigmas(*numbers, degrees=degrees), **options}
+    if all(shape is None for shape in shapes):
+        return found
+    if options.get("distribution") is not None:
+        raise ValueError(
+            "distribution is stated twice: with a value of datasheet, and by distribution=; leave one out."
+        )
+    return {**found, "distribution": shapes}
+
+
 def check_sigma(sigma: Any, axes: tuple[str, ...], label: str) -> None:
     """Raise `ValueError` for standard deviations that are negative, not finite, or not one for each axis."""
     if np.shape(sigma) != (len(axes),):
@@ -123,6 +174,60 @@ def check_sigma(sigma: Any, axes: tuple[str, ...], label: str) -> None:
     if known is not None and np.any(known < 0.0):
         axis = int(np.argmax(known < 0.0))
         raise ValueError(f"{label}: sigma of {axes[axis]} must not be negative; got {known[axis]!r}.")
+
+
+def check_distribution(source: AbstractSource) -> None:
+    """Raise for a distribution that is none, does not match the axes, or cannot have the correlation of the source."""
+    shapes = source.distribution if isinstance(source.distribution, tuple) else (source.distribution,)
+    for shape in shapes:
+        if shape is not None and not isinstance(shape, AbstractDistribution):
+            hint = f" Did you mean {shape.__name__}(...)?" if isinstance(shape, type) else ""
+            raise TypeError(
+                f"{source.label}: distribution must be one of jaxgeo.uncertainty.distributions, such as Uniform(), a "
+                f"tuple with one for each axis, or None for normal errors; got {shape!r}.{hint}"
+            )
+    if len(shapes) not in (1, len(source.axes)) or (len(shapes) != len(source.axes) and shapes is source.distribution):
+        raise ValueError(
+            f"{source.label}: distribution must be one for all axes or a tuple with one for each of "
+            f"{', '.join(source.axes)}; got {len(shapes)}."
+        )
+    for shape in shapes:
+        if shape is not None:
+            shape.check(source.label)
+    if not source.is_normal and source.correlation is not None:
+        _check_reachable(source)
+
+
+def _check_reachable(source: AbstractSource) -> None:
+    """Raise `ValueError` if no correlation of normal numbers gives the errors theirs."""
+    for shape in source.shapes:
+        if shape is not None and shape.finite_orders <= 2.0:
+            raise ValueError(
+                f"{source.label}: {shape.words} has no variance, so that its errors have no correlation; leave "
+                "correlation out."
+            )
+    wanted = concrete(source.correlation)
+    if wanted is None:
+        return
+    found = normal_correlation(jnp.asarray(wanted, jnp.float64), source.shapes)
+    if any(concrete(part) is None for part in found):
+        return
+    of_normals, low, high = map(np.asarray, found)
+    apart = ~np.eye(len(wanted), dtype=bool)
+    beyond = apart & ((wanted > high + REACHED) | (wanted < low - REACHED))
+    if np.any(beyond):
+        i, j = (int(k) for k in np.argwhere(beyond)[0])
+        names = [shape.words if shape is not None else "normal" for shape in source.shapes]
+        raise ValueError(
+            f"{source.label}: {source.axes[i]} ({names[i]}) and {source.axes[j]} ({names[j]}) cannot have the "
+            f"correlation {wanted[i, j]:.6g}: with these distributions it is from {low[i, j]:.4g} to {high[i, j]:.4g}."
+        )
+    lowest = float(np.linalg.eigvalsh(of_normals)[0])
+    if lowest < -REACHED:
+        raise ValueError(
+            f"{source.label}: no Gaussian copula gives errors of these distributions this correlation: that of the "
+            f"normal numbers would have the eigenvalue {lowest:.3g}. Correlate the axes by less."
+        )
 
 
 def check_covariance(covariance: Any, name: str) -> None:

@@ -25,7 +25,8 @@ class Correlated(AbstractSource):
 
     @classmethod
     def of(cls, *parts: AbstractSource, correlation: Correlation, sharing: AbstractSharing) -> Correlated:
-        """From sources, whose standard deviations are kept, and the correlation (axes, axes) of all their axes.
+        """From sources, whose standard deviations and distributions are kept, and the correlation (axes, axes) of all
+        their axes.
 
         Raises `ValueError` for a `TerrainField`.
         """
@@ -33,7 +34,9 @@ class Correlated(AbstractSource):
             if len(part.sigma_axes) != len(part.axes):
                 raise ValueError(f"{part.label} has its own correlation over the ground; it can be no part of a block.")
         sigma = jnp.concatenate([jnp.asarray(part.sigma) for part in parts])
-        return cls(parts=parts, sigma=sigma, correlation=jnp.asarray(correlation, float), sharing=sharing)
+        shapes = None if all(part.is_normal for part in parts) else tuple(s for part in parts for s in part.shapes)
+        correlation = jnp.asarray(correlation, float)
+        return cls(parts=parts, sigma=sigma, correlation=correlation, sharing=sharing, distribution=shapes)
 
     @property
     def label(self) -> str:

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxgeo.sensor import Gimbal
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerImage
-from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+from jaxgeo.uncertainty.sources.base import AbstractSource, Axis, Correlation, Error, Sigma, stated
 
 AxesT = TypeVar("AxesT", bound="_OfGimbalAxes")
 
@@ -26,11 +26,13 @@ class _OfGimbalAxes(AbstractSource):
     unit: ClassVar = "rad"
 
     @classmethod
-    def from_degrees(cls: type[AxesT], *, sharing: AbstractSharing | None = None, **axes: ArrayLike) -> AxesT:
+    def from_degrees(
+        cls: type[AxesT], *, sharing: AbstractSharing | None = None, distribution: Any = None, **axes: Axis
+    ) -> AxesT:
         """From standard deviations in deg, by gimbal axis name: `outer=0.02, inner=0.02`."""
-        shared = {} if sharing is None else {"sharing": sharing}
-        values = sigmas(*axes.values(), degrees=True)
-        return cls(values, gimbal_axes=tuple(axes), **shared)  # pyright: ignore[reportCallIssue]
+        options = {} if sharing is None else {"sharing": sharing}
+        arguments = stated(tuple(axes.values()), {**options, "distribution": distribution}, degrees=True)
+        return cls(gimbal_axes=tuple(axes), **arguments)  # pyright: ignore[reportCallIssue]
 
     @classmethod
     def of(cls: type[AxesT], gimbal: Gimbal, sigma: ArrayLike, **options: Any) -> AxesT:

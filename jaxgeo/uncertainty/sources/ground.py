@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_finite, concrete
@@ -16,7 +15,7 @@ from jaxgeo._typing import Scalar
 from jaxgeo.terrain import ConstantField, Dem, LineField
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, Systematic
-from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Covariance, Error, Sigma, sigmas
+from jaxgeo.uncertainty.sources.base import AbstractSource, Axis, Correlation, Covariance, Error, Sigma, sigmas, stated
 
 NODES_A_RANGE = 4  # nodes per shortest correlation length
 
@@ -31,9 +30,9 @@ class TerrainHeight(AbstractSource):
     unit: ClassVar = "m"
 
     @classmethod
-    def from_metres(cls, height: ArrayLike, **options: Any) -> TerrainHeight:
+    def from_metres(cls, height: Axis, **options: Any) -> TerrainHeight:
         """From a standard deviation in m."""
-        return cls(sigmas(height), **options)
+        return cls(**stated((height,), options))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         return _raised(inputs, error[0])
@@ -53,9 +52,9 @@ class Geoid(AbstractSource):
     unit: ClassVar = "m"
 
     @classmethod
-    def from_metres(cls, undulation: ArrayLike, **options: Any) -> Geoid:
+    def from_metres(cls, undulation: Axis, **options: Any) -> Geoid:
         """From a standard deviation in m."""
-        return cls(sigmas(undulation), **options)
+        return cls(**stated((undulation,), options))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         inputs = _raised(inputs, error[0])
@@ -66,7 +65,8 @@ class Geoid(AbstractSource):
 
 
 class TerrainField(AbstractSource):
-    """Spatially correlated terrain height errors, m: a Gaussian random field.
+    """Spatially correlated terrain height errors, m: a Gaussian random field, or one with a `distribution` at each
+    place (by a Gaussian copula).
 
     Its covariance is a sum of Gaussian, s^2 exp(-(d/a)^2), and spherical, s^2 (1 - 1.5 d/a + 0.5 (d/a)^3), variograms,
     each with standard deviation s in m and length a in m (`sigma` lists the Gaussian ones first). For one observation
@@ -89,7 +89,13 @@ class TerrainField(AbstractSource):
 
     @classmethod
     def of_variograms(
-        cls, *, gaussian: Any = (), spherical: Any = (), nodes: int = 33, sharing: AbstractSharing | None = None
+        cls,
+        *,
+        gaussian: Any = (),
+        spherical: Any = (),
+        nodes: int = 33,
+        sharing: AbstractSharing | None = None,
+        distribution: Any = None,
     ) -> TerrainField:
         """From lists of (standard deviation in m, length in m), with an odd number of `nodes`.
 
@@ -116,6 +122,7 @@ class TerrainField(AbstractSource):
             rowcol=jnp.zeros(2),
             step=jnp.zeros(2),
             nodes=nodes,
+            distribution=distribution,
         )
 
     @property

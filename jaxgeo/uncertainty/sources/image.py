@@ -6,12 +6,11 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxgeo.sensor import AbstractCamera, FrameCamera
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerMeasurement
-from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+from jaxgeo.uncertainty.sources.base import AbstractSource, Axis, Correlation, Error, Sigma, stated
 
 
 class PixelMeasurement(AbstractSource):
@@ -24,9 +23,9 @@ class PixelMeasurement(AbstractSource):
     unit: ClassVar = "px"
 
     @classmethod
-    def from_pixels(cls, *, column: ArrayLike, row: ArrayLike, **options: Any) -> PixelMeasurement:
+    def from_pixels(cls, *, column: Axis, row: Axis, **options: Any) -> PixelMeasurement:
         """From standard deviations in px."""
-        return cls(sigmas(column, row), **options)
+        return cls(**stated((column, row), options))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         if inputs.uv is None:  # of an exposure as a whole no pixel is measured
@@ -45,10 +44,10 @@ class InteriorOrientation(AbstractSource):
 
     @classmethod
     def from_pixels(
-        cls, *, focal: ArrayLike, principal_column: ArrayLike, principal_row: ArrayLike, **options: Any
+        cls, *, focal: Axis, principal_column: Axis, principal_row: Axis, **options: Any
     ) -> InteriorOrientation:
         """From standard deviations in px."""
-        return cls(sigmas(focal, principal_column, principal_row), **options)
+        return cls(**stated((focal, principal_column, principal_row), options))
 
     def check(self, inputs: ModelInputs) -> None:
         optics_of(inputs.sensor.camera)
@@ -75,10 +74,13 @@ class Distortion(AbstractSource):
     unit: ClassVar = "1"
 
     @classmethod
-    def from_coefficients(cls, *, sharing: AbstractSharing | None = None, **coefficients: ArrayLike) -> Distortion:
+    def from_coefficients(
+        cls, *, sharing: AbstractSharing | None = None, distribution: Any = None, **coefficients: Axis
+    ) -> Distortion:
         """From the standard deviation of each named coefficient: `k1=1e-4, k2=1e-4`."""
-        shared = {} if sharing is None else {"sharing": sharing}
-        return cls(sigmas(*coefficients.values()), coefficients=tuple(coefficients), **shared)
+        options = {} if sharing is None else {"sharing": sharing}
+        arguments = stated(tuple(coefficients.values()), {**options, "distribution": distribution})
+        return cls(coefficients=tuple(coefficients), **arguments)
 
     @property
     def axes(self) -> tuple[str, ...]:

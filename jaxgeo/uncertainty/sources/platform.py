@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxgeo._numerics import matmul3, matvec
 from jaxgeo._typing import ScalarField, Vector3, Vector3Field
@@ -17,7 +16,7 @@ from jaxgeo.sensor import Pose, Shot
 from jaxgeo.sensor.gimbal import Numbers
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerImage
-from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+from jaxgeo.uncertainty.sources.base import AbstractSource, Axis, Correlation, Error, Sigma, stated
 
 
 class Attitude(AbstractSource):
@@ -30,9 +29,9 @@ class Attitude(AbstractSource):
     unit: ClassVar = "rad"
 
     @classmethod
-    def from_degrees(cls, *, heading: ArrayLike, pitch: ArrayLike, roll: ArrayLike, **options: Any) -> Attitude:
+    def from_degrees(cls, *, heading: Axis, pitch: Axis, roll: Axis, **options: Any) -> Attitude:
         """From standard deviations in deg."""
-        return cls(sigmas(heading, pitch, roll, degrees=True), **options)
+        return cls(**stated((heading, pitch, roll), options, degrees=True))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         pose = inputs.pose
@@ -52,9 +51,9 @@ class Position(AbstractSource):
     unit: ClassVar = "m"
 
     @classmethod
-    def from_ned(cls, *, north: ArrayLike, east: ArrayLike, down: ArrayLike, **options: Any) -> Position:
+    def from_ned(cls, *, north: Axis, east: Axis, down: Axis, **options: Any) -> Position:
         """From standard deviations in m."""
-        return cls(sigmas(north, east, down), **options)
+        return cls(**stated((north, east, down), options))
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -81,9 +80,9 @@ class Velocity(AbstractSource):
     unit: ClassVar = "m/s"
 
     @classmethod
-    def from_ned(cls, *, north: ArrayLike, east: ArrayLike, down: ArrayLike, **options: Any) -> Velocity:
+    def from_ned(cls, *, north: Axis, east: Axis, down: Axis, **options: Any) -> Velocity:
         """From standard deviations in m/s."""
-        return cls(sigmas(north, east, down), **options)
+        return cls(**stated((north, east, down), options))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         return Position(self.sigma).moved(inputs, error * self.latency)
@@ -108,7 +107,7 @@ class TimeTag(AbstractSource):
     @classmethod
     def from_seconds(
         cls,
-        time: ArrayLike,
+        time: Axis,
         *,
         velocity_ned: Numbers | None = None,
         body_rates: Numbers | None = None,
@@ -118,7 +117,7 @@ class TimeTag(AbstractSource):
         """From a standard deviation in s, and the motion of a single shot."""
         rates = (velocity_ned, body_rates, gimbal_rates)
         velocity, turning, moving = (None if rate is None else jnp.asarray(rate, float) for rate in rates)
-        return cls(sigmas(time), velocity_ned=velocity, body_rates=turning, gimbal_rates=moving, **options)
+        return cls(**stated((time,), options), velocity_ned=velocity, body_rates=turning, gimbal_rates=moving)
 
     def check(self, inputs: ModelInputs) -> None:
         if isinstance(inputs.motion, Shot) and self.velocity_ned is None:
@@ -158,9 +157,9 @@ class Boresight(AbstractSource):
     unit: ClassVar = "rad"
 
     @classmethod
-    def from_degrees(cls, *, heading: ArrayLike, pitch: ArrayLike, roll: ArrayLike, **options: Any) -> Boresight:
+    def from_degrees(cls, *, heading: Axis, pitch: Axis, roll: Axis, **options: Any) -> Boresight:
         """From standard deviations in deg."""
-        return cls(sigmas(heading, pitch, roll, degrees=True), **options)
+        return cls(**stated((heading, pitch, roll), options, degrees=True))
 
     def check(self, inputs: ModelInputs) -> None:
         if inputs.sensor.gimbal.reference == "level":
@@ -185,9 +184,9 @@ class CameraMounting(AbstractSource):
     unit: ClassVar = "rad"
 
     @classmethod
-    def from_degrees(cls, *, forward: ArrayLike, right: ArrayLike, down: ArrayLike, **options: Any) -> CameraMounting:
+    def from_degrees(cls, *, forward: Axis, right: Axis, down: Axis, **options: Any) -> CameraMounting:
         """From standard deviations in deg."""
-        return cls(sigmas(forward, right, down, degrees=True), **options)
+        return cls(**stated((forward, right, down), options, degrees=True))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         R = matmul3(R_from_rotation_vector(error), jnp.asarray(inputs.sensor.mount.R_head_from_camera))
@@ -204,9 +203,9 @@ class LeverArm(AbstractSource):
     unit: ClassVar = "m"
 
     @classmethod
-    def from_metres(cls, *, forward: ArrayLike, right: ArrayLike, down: ArrayLike, **options: Any) -> LeverArm:
+    def from_metres(cls, *, forward: Axis, right: Axis, down: Axis, **options: Any) -> LeverArm:
         """From standard deviations in m."""
-        return cls(sigmas(forward, right, down), **options)
+        return cls(**stated((forward, right, down), options))
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         lever = jnp.asarray(inputs.sensor.mount.lever_body) + error

@@ -1,0 +1,29 @@
+"""Sizes of batches by the kind of device: blocks that fit a core's cache on a CPU, large ones on an accelerator.
+
+An accelerator (GPU or TPU) runs a program kernel by kernel, and each takes some microseconds at least: it needs all
+items of a batch at once, where a CPU is faster with a few thousand of them, whose data stay in its caches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import jax
+
+T = TypeVar("T")
+
+
+def on_accelerator(devices: Sequence[Any] = ()) -> bool:
+    """Whether programs run on an accelerator: on the given devices, by default on JAX's default device."""
+    if devices:
+        return devices[0].platform != "cpu"
+    device: Any = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    if device is None:
+        return jax.default_backend() != "cpu"
+    return (device if isinstance(device, str) else device.platform) != "cpu"
+
+
+def by_device(cpu: T, accelerator: T, devices: Sequence[Any] = ()) -> T:
+    """The value for the kind of device that a program is traced for."""
+    return accelerator if on_accelerator(devices) else cpu
