@@ -154,8 +154,10 @@ def _of_radii(table: StatedTable, radii: list[str], axes: Sequence[str]) -> list
     if radii == ["se"] and len(axes) == 3:
         return [spherical_error(table.se, probability=table.probability)] * 3
     if set(radii) != set(axes):
-        wanted = "ce and le, or se" if len(axes) == 3 else "le" if axes else "none of ce, le and se"
-        raise ValueError(f"of these errors give {wanted}; got {' and '.join(radii)}.")
+        wanted = "le" if axes else "sigma, plus_minus or rms"
+        if len(axes) == 3:
+            wanted = "ce and le (horizontal and vertical), or se"
+        raise ValueError(f"give {wanted} of these errors; got {' and '.join(radii)}.")
     of = {
         "ce": lambda: circular_error(table.ce, probability=table.probability),
         "le": lambda: linear_error(table.le, probability=table.probability),
@@ -168,6 +170,8 @@ def _distribution(table: StatedTable) -> AbstractDistribution | None:
     if name is None or name == "normal":
         return None
     if name == "student-t":
+        if table.df is not None and table.df <= 2.0:
+            raise ValueError(f"df must be above 2, for there to be the standard deviation sigma; got {table.df:g}.")
         return StudentT(table.df)
     if share is not None and times is not None:  # `_check_options`: those of outliers
         return Mixture.of_outliers(share=share, times=times)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -95,8 +96,18 @@ def profile_factors(
     cov, direction, probability = jax.lax.stop_gradient((cov_enu, nominal.direction_enu, probability))
     along, _ = along_of(direction)
     plane = profile.over_plane(safe_sqrt(along @ cov[:2, :2] @ along), safe_sqrt(cov[2, 2]))
-    circular = _factor(profile.circular_error(probability), plane.circular_error(probability), AGREEMENT)
-    return circular, _factor(profile.linear_error(probability), plane.linear_error(probability), AGREEMENT_UP)
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), profile, plane)
+    middle = jnp.zeros(3)
+    circular = _ends(circular_radius(cov, probability, middle), AGREEMENT)
+    linear = _ends(linear_radius(cov, probability, middle), AGREEMENT_UP)
+    across = jax.vmap(lambda one: one.circular_error(probability, circular))(both)
+    up = jax.vmap(lambda one: one.linear_error(probability, linear))(both)
+    return _factor(across[0], across[1], AGREEMENT), _factor(up[0], up[1], AGREEMENT_UP)
+
+
+def _ends(radius: Scalar, most: float) -> tuple[Scalar, Scalar]:
+    """Radii about one between which figures that agree lie, both with a margin for the profile's steps."""
+    return radius * math.exp(-2.0 * most), radius * math.exp(2.0 * most)
 
 
 def over_profile(

@@ -140,11 +140,8 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
         unknown = jnp.asarray(np.nan)
         diagnostics = Diagnostics(*[unknown] * len(Diagnostics._fields))
         cov, bias = (jnp.asarray(np.full(shape, np.nan)) for shape in ((3, 3), 3))
-        return (
-            nominal,
-            LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics, jnp.ones(2)),
-            (unknown, unknown, unknown),
-        )
+        none = LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics, jnp.ones(2))
+        return nominal, none, (unknown, unknown, unknown)
     found = _select_linear(diagnose(inputs, nominal, model), nominal, request.probability)
     return nominal, found, linear_radii(found, request.probability)
 

@@ -183,10 +183,11 @@ def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     figures = (
         f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
     )
+    follows = "The radii follow the profile."
     if method is Method.facet:
-        return f"The ground is nearly planar within the error region: {figures}."
+        return f"The ground is nearly planar within the error region: {figures}. {follows}"
     if method is Method.footprint:
-        return f"The slope at the fix differs from the mean slope of the error region: {figures}."
+        return f"The slope at the fix differs from the mean slope of the error region: {figures}. {follows}"
     obstacle = _obstacle(diagnostics, fails, jumps)
     if obstacle is not None:
         return f"{obstacle}: {figures}."

@@ -112,9 +112,7 @@ class ErrorModel(Record):
         names = [f"{source.label} ({_words(source)})" for source in self.sources if not source.is_normal]
         if not names:
             return None
-        which = (
-            f"{len(names)} source{'s' if len(names) > 1 else ''} that {'are' if len(names) > 1 else 'is'} not normal"
-        )
+        which = "1 source that is not normal" if len(names) == 1 else f"{len(names)} sources that are not normal"
         return f"Linear propagation uses the variance of {which}: {', '.join(names)}; samples use the distribution."
 
     def at(self, inputs: ModelInputs, nominal: NominalFix) -> ErrorModel:
@@ -227,11 +225,9 @@ def checked_model(errors: object, inputs: ModelInputs, *, moments: int = 2) -> E
 def _check_moments(source: AbstractSource, order: int) -> None:
     for shape in source.shapes:
         if shape is not None and order and not shape.finite_orders > order:
-            what = (
-                "variance, which linear propagation, budgets and fits need"
-                if order <= 2
-                else ("fourth moment, which sigma points and second order need")
-            )
+            what = "variance, which linear propagation, budgets and fits need"
+            if order > 2:
+                what = "fourth moment, which sigma points and second order need"
             raise ValueError(
                 f"{source.label}: {shape.words} has no finite {what}. Draw samples with jaxgeo.sample, which need "
                 f"none, or take a distribution with lighter tails (StudentT with df above {order})."

@@ -11,6 +11,7 @@ import numpy as np
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.model_inputs import FARTHER, NominalFix, Sweep
@@ -19,7 +20,7 @@ NODES = 512  # sample points before the fix, and the same number behind it
 NEAREST = 0.25  # of a cell: distance of the nearest ones
 GROWTH = 1.009  # of the spacing; the farthest are 2700 cells away
 LEVELS = 256  # lines of sight of equal probability
-HALVINGS = 60
+HALVINGS, HALVINGS_NEAR = 40, 18  # of the whole range, and between ends that are near
 FLAT = 1e-3  # horizontal component of a direction, at least: steeper lines of sight have no profile
 LEAST = 1e-9  # m: lower limit of a standard deviation
 GAP = 1.0  # of a cell: longer hidden ground is a gap, over which lines of sight jump
@@ -29,6 +30,17 @@ FLATTEST = 0.02  # smallest descent per m used for the error along the line of s
 
 Places = Float[Array, " places"]
 Levels = Float[Array, " levels"]
+Bracket = tuple[Scalar, Scalar]
+
+
+class Bisected(NamedTuple):
+    """Ends between which a function is zero after a number of steps, and its values there."""
+
+    number: Int[Array, ""]
+    low: Scalar
+    high: Scalar
+    at_low: Scalar
+    at_high: Scalar
 
 
 class Ground(NamedTuple):
@@ -68,39 +80,43 @@ class Profile(NamedTuple):
         places, unseen, gap = (np.asarray(x) for x in (self.places, self.unseen, self.gap))
         return np.abs(np.interp(ahead, places, unseen) - unseen[NODES]) > gap
 
-    def circular_error(self, probability: float | Scalar) -> Scalar:
-        """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail."""
+    def circular_error(self, probability: float | Scalar, near: Bracket | None = None) -> Scalar:
+        """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail.
+
+        `near` are radii between which it is looked for, to a millionth; it is the nearer one if it lies beyond.
+        """
 
         def within(radius: Scalar) -> Scalar:
             half = jnp.sqrt(jnp.maximum(radius**2 - self.ahead**2, 0.0))
             chance = _chance_between(-half, half, self.across, self.across_sigma)
             return jnp.mean(jnp.where(jnp.abs(self.ahead) <= radius, chance, 0.0))
 
-        return self._radius(within, probability, jnp.abs(self.ahead) + jnp.abs(self.across) + 9.0 * self.across_sigma)
+        reach = jnp.abs(self.ahead) + jnp.abs(self.across) + 9.0 * self.across_sigma
+        return self._radius(within, probability, reach, near)
 
-    def linear_error(self, probability: float | Scalar) -> Scalar:
-        """Height in m above and below the nominal fix that contains the fix with a probability."""
+    def linear_error(self, probability: float | Scalar, near: Bracket | None = None) -> Scalar:
+        """Height in m above and below the nominal fix that contains the fix with a probability; `near` as above."""
 
         def within(radius: Scalar) -> Scalar:
             chance = _chance_between(-radius, radius, self.up, self.up_sigma)
             return jnp.mean(jnp.where(jnp.isfinite(self.up), chance, 0.0))
 
-        return self._radius(within, probability, jnp.abs(self.up) + 9.0 * self.up_sigma)
+        return self._radius(within, probability, jnp.abs(self.up) + 9.0 * self.up_sigma, near)
 
     def over_plane(self, ahead_sigma: Scalar, up_sigma: Scalar) -> Profile:
         """The same lines of sight over a plane, whose ground points ahead and up have these standard deviations, m."""
         levels, common = _normal_levels(), jnp.sqrt(jnp.maximum(up_sigma**2 - self.up_sigma**2, 0.0))
         return self._replace(ahead=ahead_sigma * levels, up=common * levels)
 
-    def _radius(self, within: Callable[[Scalar], Scalar], probability: float | Scalar, reach: Levels) -> Scalar:
-        def halve(_: Int[Array, ""], ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-            low, high = ends
-            middle = 0.5 * (low + high)
-            enough = within(middle) >= probability
-            return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
-
-        farthest = jnp.max(jnp.where(jnp.isfinite(reach), reach, 0.0)) + LEAST
-        _, radius = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.zeros_like(farthest), farthest))
+    def _radius(
+        self, within: Callable[[Scalar], Scalar], probability: float | Scalar, reach: Levels, near: Bracket | None
+    ) -> Scalar:
+        if near is None:
+            farthest = jnp.max(jnp.where(jnp.isfinite(reach), reach, 0.0)) + LEAST
+            low, high, halvings = jnp.zeros_like(farthest), farthest, HALVINGS
+        else:
+            (low, high), halvings = near, HALVINGS_NEAR
+        radius = _root(lambda radius: within(radius) - probability, low, high, halvings)
         return jnp.where(1.0 - self.fails >= probability, radius, jnp.inf)
 
 
@@ -223,6 +239,38 @@ def _given_lift(
     """(change of a quantity per sigma of lift, its remaining standard deviation)."""
     together = moved @ cov_error @ lift
     return together, jnp.sqrt(jnp.maximum(moved @ cov_error @ moved - together**2, 0.0))
+
+
+def _root(function: Callable[[Scalar], Scalar], low: Scalar, high: Scalar, halvings: int) -> Scalar:
+    """Where a growing function is zero between two ends, as exactly as after some halvings; an end if it is beyond.
+
+    Interpolation that takes one step more than bisection at worst (Oliveira and Takahashi 2020, An enhancement of the
+    bisection method average performance preserving minmax optimality).
+    """
+    first = high - low
+    exact = first * 2.0**-halvings
+
+    def goes_on(state: Bisected) -> Bool[Array, ""]:
+        return state.high - state.low > exact
+
+    def step(state: Bisected) -> Bisected:
+        middle, width = 0.5 * (state.low + state.high), state.high - state.low
+        rise = state.at_high - state.at_low
+        crosses = (state.at_low < 0.0) & (state.at_high > 0.0)
+        line = state.low - state.at_low * width / jnp.where(crosses, rise, 1.0)
+        line = jnp.where(crosses, line, middle)
+        toward = jnp.sign(middle - line)
+        at = line + toward * jnp.minimum(0.2 / first * width**2, jnp.abs(middle - line))
+        slack = jnp.maximum(exact * 2.0 ** (halvings - state.number) - 0.5 * width, 0.0)
+        at = jnp.where(jnp.abs(at - middle) <= slack, at, middle - toward * slack)
+        value = function(at)
+        ends = Bisected(state.number + 1, at, state.high, value, state.at_high)
+        others = Bisected(state.number + 1, state.low, at, state.at_low, value)
+        return tree_where(value < 0.0, ends, others)
+
+    start = Bisected(jnp.asarray(0), low, high, *jax.lax.map(function, jnp.stack([low, high])))
+    found = jax.lax.while_loop(goes_on, step, start)
+    return 0.5 * (found.low + found.high)
 
 
 def _chance_between(low: Numbers, high: Numbers, mean: Levels, sigma: Scalar) -> Levels:

@@ -1,4 +1,4 @@
-"""Counts of samples on an accelerator: laws on made-up chunks, against the counts on the host."""
+"""Counts of samples on an accelerator: laws on synthetic chunks, against the counts on the host."""
 
 from __future__ import annotations
 

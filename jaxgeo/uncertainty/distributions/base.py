@@ -33,9 +33,9 @@ class AbstractDistribution(Record):
         """Value at the probability of standard normal numbers, elementwise: F^-1(Phi(z)); increases with z."""
 
     @property
-    @abc.abstractmethod
     def skewness(self) -> ScalarField:
-        """Third standardised moment."""
+        """Third standardised moment; that of a symmetric distribution is zero."""
+        return 0.0
 
     @property
     @abc.abstractmethod

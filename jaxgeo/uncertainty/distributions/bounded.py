@@ -25,10 +25,6 @@ class Uniform(AbstractDistribution):
         return math.sqrt(3.0) * erf(normal * HALF_ROOT)
 
     @property
-    def skewness(self) -> ScalarField:
-        return 0.0
-
-    @property
     def kurtosis(self) -> ScalarField:
         return 9.0 / 5.0
 
@@ -44,10 +40,6 @@ class Triangular(AbstractDistribution):
         return odd(lambda size: math.sqrt(6.0) * (1.0 - jnp.sqrt(both_tails(size))), normal)
 
     @property
-    def skewness(self) -> ScalarField:
-        return 0.0
-
-    @property
     def kurtosis(self) -> ScalarField:
         return 12.0 / 5.0
 
@@ -61,10 +53,6 @@ class Arcsine(AbstractDistribution):
 
     def standardised(self, normal: Numbers) -> Numbers:
         return math.sqrt(2.0) * jnp.sin(0.5 * math.pi * erf(normal * HALF_ROOT))
-
-    @property
-    def skewness(self) -> ScalarField:
-        return 0.0
 
     @property
     def kurtosis(self) -> ScalarField:

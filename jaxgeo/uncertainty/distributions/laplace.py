@@ -21,9 +21,5 @@ class Laplace(AbstractDistribution):
         return odd(lambda size: -math.sqrt(0.5) * jnp.log(both_tails(size)), normal)
 
     @property
-    def skewness(self) -> ScalarField:
-        return 0.0
-
-    @property
     def kurtosis(self) -> ScalarField:
         return 6.0
