@@ -74,7 +74,8 @@ mlir.make_ir_context = shared_ir_context
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--slow", action="store_true", help="run the tests marked slow too")
+    parser.addoption("--costly", action="store_true", help="run the tests marked costly too, as .ci/run does")
+    parser.addoption("--slow", action="store_true", help="run all tests, also those marked costly or slow")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -90,9 +91,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--slow"):
         return
+    left_out = ["slow"] if config.getoption("--costly") else ["slow", "costly"]
     for item in items:
-        if "slow" in item.keywords:
-            item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
+        for mark in left_out:
+            if mark in item.keywords:
+                item.add_marker(pytest.mark.skip(reason=f"{mark}: runs with --{mark}"))
+                break
 
 
 def pytest_collection_finish() -> None:

@@ -326,7 +326,7 @@ def made() -> Demo:
     position = Geodetic(lat=np.full(count, 0.63), lon=np.full(count, -1.47), height=np.full(count, 300.0))
     number = np.ones(count)
     fix = Fix(position, np.zeros((count, 3)), number, number, number, number, np.full(count, Status.hit, np.int8))
-    errors = SimpleNamespace(number=7, comparison="every method", accuracy="circles", budget="shares")
+    errors = SimpleNamespace(number=7, checked="circles", budget="shares")
     made = object.__new__(Demo)
     vars(made).update(title="Somewhere", uv=np.zeros((count, 2)), fix=fix, errors=errors)
     return made
@@ -337,7 +337,7 @@ def test_demo_without_matplotlib_shows_the_table_and_a_hint(tmp_path: pathlib.Pa
     monkeypatch.setattr("jaxgeo.demo.make_demo", lambda: made)
     result = run("demo", "--output", tmp_path / "demo.png")
     assert_table_and_hint(result, tmp_path)
-    for words in ("Somewhere", "fix 7", "every method", "circles", "shares"):
+    for words in ("Somewhere", "fix 7", "circles", "shares"):
         assert words in result.stdout
 
 

@@ -112,14 +112,15 @@ def test_numbers_are_those_of_locate(folder: pathlib.Path, told: dict, page: str
 def test_budget_and_samples_are_told_as_json_and_on_the_page(told: dict, page: str) -> None:
     text = seen(page)
     for fix, detail in zip(told["fixes"], told["details"], strict=True):
-        budget, comparison = detail["budget"], detail["comparison"]
-        assert budget["circular_error_m"] == pytest.approx(fix["ce90_m"], rel=1e-3)
+        budget, samples = detail["budget"], detail["samples"]
+        assert budget["circular_error_m"] == pytest.approx(fix["ce90_m"], rel=1e-6)
         whole = budget["variance_m2"]["horizontal"]
         assert sum(source["variance_m2"]["horizontal"] for source in budget["sources"]) == pytest.approx(whole)
-        assert comparison["samples"]["count"] == 20_000
-        low, high = (comparison["samples"]["ce90_m"][name] for name in ("low", "high"))
-        assert low < comparison["samples"]["ce90_m"]["value"] < high
-        assert comparison["verdict"] in text
+        assert samples["count"] == 20_000
+        share = samples["within"]
+        assert share["low"] < share["estimate"] < share["high"]
+        assert share["estimate"] == pytest.approx(0.9, abs=0.03)
+        assert f"{100.0 * share['estimate']:.1f} % of {say.count(20_000)} samples lie within this CE90" in text
         largest = max((s for source in budget["sources"] for s in source["sigmas"]), key=_level_variance)
         assert largest["name"] in text
         assert f"{100.0 * _level_variance(largest) / whole:.1f}" in text
@@ -212,7 +213,7 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
     sensor, shot = level_sensor()
     subject = ReportData.of(sensor, shot, (320.0, 5.0), ConstantHeight(0.0))
     (detail,) = details_of(subject)
-    assert (detail.comparison, detail.budget) == (None, None)
+    assert (detail.checked, detail.budget) == (None, None)
     assert detail.to_dict()["because"] == "The ray rises above the highest ground without meeting the terrain."
     made = datetime.datetime(2020, 2, 3, 4, 5, tzinfo=datetime.UTC)
     write_report(tmp_path / "sky.html", subject, header=ReportHeader("The sky", made=made), details=[detail])

@@ -145,7 +145,7 @@ FIGURES = {
     "map": Drawing(a_map, 0.78, 1.0),
     "errors_on_map": Drawing(errors_on_map, 0.75, 0.95),
     "error_cloud": Drawing(
-        lambda figure: plot.error_cloud(records.demo().errors.comparison, figure.add_subplot(), dem=records.demo().dem),
+        lambda figure: plot.error_cloud(records.demo().errors.checked, figure.add_subplot(), dem=records.demo().dem),
         0.6,
         1.5,
     ),

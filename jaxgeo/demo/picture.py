@@ -117,9 +117,9 @@ def _rowcol(dem: Dem, positions: Geodetic) -> jax.Array:
 def _draw_errors(demo: Demo, part: Any) -> None:
     from jaxgeo import plot
 
-    compared, trusted = demo.errors.comparison, demo.errors.accuracy
-    plot.error_cloud(compared, part.subplots(), dem=demo.dem)
-    _head(f"Accuracy of fix {demo.errors.number}: CE90 {trusted.circular:.0f} m, by {trusted.words}", part)
+    plot.error_cloud(demo.errors.checked, part.subplots(), dem=demo.dem)
+    answer = demo.errors.accuracy
+    _head(f"Accuracy of fix {demo.errors.number}: CE90 {answer.circular:.0f} m, by {answer.words}", part)
 
 
 def _draw_budget(demo: Demo, part: Any) -> None:

@@ -21,18 +21,7 @@ from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Sensor, Shot
 from jaxgeo.terrain import Dem
-from jaxgeo.uncertainty import (
-    Accuracy,
-    Budget,
-    Comparison,
-    ErrorModel,
-    Footprint,
-    Sampling,
-    accuracy,
-    budget,
-    compare,
-    propagate,
-)
+from jaxgeo.uncertainty import Accuracy, AccuracyCheck, Budget, Sampling, accuracy, budget, sample
 
 GRID = (4, 5)  # fixes across the image, along columns and rows
 VIEW = (100, 200)  # pixels of the rendered view, along columns and rows
@@ -46,12 +35,16 @@ SAMPLES = 20_000
 
 
 class Errors(Record):
-    """Accuracy of one fix by every method; `number` is its index in the grid."""
+    """Accuracy of one fix, checked by samples, and its budget; `number` is its index in the grid."""
 
     number: int
-    comparison: Comparison
-    accuracy: Accuracy
+    checked: AccuracyCheck
     budget: Budget
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """The answer."""
+        return self.checked.accuracy
 
 
 class Demo(Record):
@@ -94,10 +87,11 @@ def make_demo() -> Demo:
         posts = pool.submit(_posts_in_image, sensor, shot, dem)
         section = pool.submit(_section_under_axis, sensor, shot, dem)
         doubted = (sensor, shot, grid[DOUBTED], dem, scene.errors)
-        compared = pool.submit(compare, *doubted, sampling=Sampling(count=SAMPLES, chunk=SAMPLES))
-        trusted = pool.submit(accuracy, *doubted, sampling=Sampling(count=SAMPLES))
-        shares = pool.submit(_budget, *doubted)
+        drawn = pool.submit(sample, *doubted, sampling=Sampling(count=SAMPLES, chunk=SAMPLES), keep=True)
+        answered = pool.submit(_answered, *doubted)
         fix = located(sensor, shot, uv, dem)
+        hidden = _hidden(sensor, shot, dem, *posts.result())
+        found, shares = answered.result()
         return Demo(
             title=scene.title,
             dem=dem,
@@ -109,9 +103,9 @@ def make_demo() -> Demo:
             outline=_part(fix, n, m).position,
             axis=_part(fix, m, m + 1),
             view=_part(fix, m + 1, len(uv), VIEW),
-            hidden=_hidden(sensor, shot, dem, *posts.result()),
+            hidden=hidden,
             section=section.result(),
-            errors=Errors(DOUBTED, compared.result(), trusted.result(), shares.result()),
+            errors=Errors(DOUBTED, AccuracyCheck(found, drawn.result()), shares),
         )
 
 
@@ -206,8 +200,9 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
     return jax.tree.map(lambda leaf: leaf[start:stop].reshape(*shape, *leaf.shape[1:]), fix)
 
 
-def _budget(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorModel) -> Budget:
-    return budget(propagate(sensor, shot, uv, dem, model, slope=Footprint()))
+def _answered(*look: Any) -> tuple[Accuracy, Budget]:
+    found = accuracy(*look, sampling=Sampling(count=SAMPLES))
+    return found, budget(found)
 
 
 def sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:

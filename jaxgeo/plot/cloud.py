@@ -21,7 +21,7 @@ from jaxgeo.plot.maps import slopes
 from jaxgeo.plot.style import INK, JUMPED, LINEAR, SAMPLE, SAMPLED, grid_behind, halo, house_axes, metres, percent
 from jaxgeo.terrain import Dem
 from jaxgeo.terrain.grid import surface_point
-from jaxgeo.uncertainty import Comparison, Propagation, Sampled
+from jaxgeo.uncertainty import AccuracyCheck, Comparison, Propagation, Sampled
 
 MOST_POINTS = 5000  # drawn of a cloud; more do not make it clearer
 ACROSS = 240  # minimum samples across the drawn terrain
@@ -35,7 +35,7 @@ GREYS = matplotlib.colors.LinearSegmentedColormap.from_list("greys", ["#b4b4b4",
 
 
 def error_cloud(
-    errors: Comparison | Sampled,
+    errors: AccuracyCheck | Comparison | Sampled,
     ax: Axes | None = None,
     *,
     dem: Dem | None = None,
@@ -49,27 +49,31 @@ def error_cloud(
 
     `errors` are samples that were kept; `jumped` (count,) marks those on other ground, drawn as crosses. Full lines are
     covariance ellipses, dashed ones circles, both of `probability`; they agree in content for normal samples.
-    `propagations`, up to three by name, are drawn beside the samples. A `Comparison` provides samples and linear
-    propagation over facet and footprint, and its verdict is in the legend. With a `dem` the terrain about the fix is
+    `propagations`, up to three by name, are drawn beside the samples. An `AccuracyCheck` provides samples and one
+    answer: the circle of its accuracy at its probability, the share of the samples within, and the ellipse if it is by
+    linear propagation. A `Comparison` provides samples and linear propagation over facet and footprint, and its
+    verdict is in the legend. With a `dem` the terrain about the fix is
     drawn below. `reach` is half the side in m. By default it holds 99 % of the samples, 99 % of those that jumped,
     and all circles, but at most eight times the largest circle; samples outside are counted in a note. Raises
     `TypeError` for other records, `ValueError` for samples that were not kept or have no fix, marks of another number,
     a probability outside (0, 1), more than three propagations and a reach that is not positive.
     """
     compared = errors if isinstance(errors, Comparison) else None
-    sampled = compared.sampled if compared is not None else errors
-    check_is(sampled, Sampled, "errors", "Make them with jaxgeo.uncertainty.sample or compare.")
+    checked = errors if isinstance(errors, AccuracyCheck) else None
+    sampled = errors.sampled if isinstance(errors, AccuracyCheck | Comparison) else errors
+    check_is(sampled, Sampled, "errors", "Make them with jaxgeo.uncertainty.check_accuracy, sample or compare.")
     assert isinstance(sampled, Sampled)
+    if checked is not None:
+        jumped = checked.beyond_gap if jumped is None else jumped
+        probability = checked.accuracy.level()
     if compared is not None:
         jumped = compared.beyond_gap if jumped is None else jumped
         if propagations is None:
             propagations = {name: compared.propagations[name] for name in SHOWN if name in compared.propagations}
     linear = _checked(propagations or {})
     points, marked = _kept(sampled, jumped)
-    radii = [
-        sampled.circular_error(probability).value,
-        *(float(x.circular_error(probability)) for x in linear.values()),
-    ]
+    own = sampled.circular_error(probability).value if checked is None else float(checked.accuracy.circular)
+    radii = [own, *(float(x.circular_error(probability)) for x in linear.values())]
     half = _reach(points, marked, [one for one in radii if math.isfinite(one)], reach)
     with house_axes(ax) as ax:
         ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east, m", ylabel="north, m")
@@ -77,7 +81,7 @@ def error_cloud(
         if dem is not None:
             _ground(dem, sampled.fix, half, ax)
         handles = _points(points, marked, sampled, ax)
-        handles.append(_sampled(sampled, probability, ax))
+        handles.append(_sampled(sampled, probability, ax) if checked is None else _checked_answer(checked, ax))
         for colour, (name, one) in zip(LINEAR, linear.items(), strict=False):
             judged = _judged(compared, name) if probability == JUDGED[0] else ""
             handles.append(_linear(name, one, probability, colour, judged, ax))
@@ -87,7 +91,7 @@ def error_cloud(
         handles.append(keyed(ax, f"ellipse of the covariance, {share}", color="0.4", linewidth=1.0))
         handles.append(keyed(ax, f"circle of {share}, CE{share[:-2]}", color="0.4", linewidth=1.0, linestyle=DASHES))
         if legend:
-            legend_of(ax, handles, beside=True, title=_remark(sampled, compared, points, half))
+            legend_of(ax, handles, beside=True, title=_remark(sampled, errors, points, half))
     return ax
 
 
@@ -151,6 +155,17 @@ def _sampled(sampled: Sampled, probability: float, ax: Axes) -> Any:
     return keyed(ax, f"sampled: CE{100.0 * probability:g} {metres(figure.value)}{between}", **style)
 
 
+def _checked_answer(checked: AccuracyCheck, ax: Axes) -> Any:
+    """Draw the circle of an accuracy, and its ellipse if it has one."""
+    answer, radius = checked.accuracy, float(checked.accuracy.circular)
+    style: dict[str, Any] = {"color": SAMPLED, "linewidth": 1.8}
+    if np.isfinite(np.asarray(answer.cov_enu)).all():
+        mean, cov = np.asarray(answer.bias_enu)[:2], np.asarray(answer.cov_enu)[:2, :2]
+        _ellipse("linear", mean, cov, answer.level(), ax, {**style, "zorder": 5})
+    _circle("accuracy", np.zeros(2), radius, ax, {**style, "zorder": 5})
+    return keyed(ax, f"CE{100.0 * answer.level():g} {metres(radius)}, by {answer.words}", **style)
+
+
 def _linear(name: str, one: Propagation, probability: float, colour: str, judged: str, ax: Axes) -> Any:
     """Draw the ellipse and circle of one linear method; the label tells whether the samples confirm its CE."""
     radius = float(one.circular_error(probability))
@@ -186,12 +201,13 @@ def unit_circle() -> np.ndarray:
     return np.stack([np.cos(turn), np.sin(turn)])
 
 
-def _remark(sampled: Sampled, compared: Comparison | None, points: np.ndarray, reach: float) -> str:
-    """Note: the verdict, samples outside the figure, and samples without a fix."""
+def _remark(sampled: Sampled, errors: Any, points: np.ndarray, reach: float) -> str:
+    """Note: what the samples say of the answer, samples outside the figure, and samples without a fix."""
     outside = float(np.mean(np.abs(points).max(axis=1) > reach)) * sampled.found / sampled.count
-    said = [] if compared is None or not compared.verdict else [compared.verdict]
+    said = [errors.words] if isinstance(errors, AccuracyCheck) else []
+    said += [errors.verdict] if isinstance(errors, Comparison) else []
     said += [f"Outside the picture: {percent(outside)}."] if outside > 0.0 else []
-    if compared is None and sampled.found < sampled.count:
+    if errors is sampled and sampled.found < sampled.count:
         said.append(f"Without a fix: {percent(1.0 - sampled.found / sampled.count)}.")
     return " ".join(said)
 

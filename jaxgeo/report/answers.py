@@ -1,4 +1,4 @@
-"""Template data of fixes: coordinates, accuracy, method and its reason, comparison with samples."""
+"""Template data of fixes: coordinates, accuracy, method and its reason, the samples that check it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from jaxgeo.coverage.exposure import image_size
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.report import words
 from jaxgeo.report.data import ReportData
-from jaxgeo.report.details import FACET, FOOTPRINT, Detail
+from jaxgeo.report.details import Detail
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, Comparison, Method
-from jaxgeo.uncertainty._compare import FIGURES
+from jaxgeo.uncertainty import NO_FIX, AccuracyCheck, Method
 
 Row = Mapping[str, Any]
 VERDICTS = {
@@ -22,7 +21,6 @@ VERDICTS = {
     Method.footprint: "Linear propagation is valid with the mean slope over the error footprint, not that at the fix.",
     Method.samples: "Linear propagation is not valid here; the figures are from Monte Carlo samples.",
 }
-MARKS = {"valid": ("✓", "valid"), "not valid": ("✗", "not valid"), "undecided": ("?", "needs more samples")}
 
 
 def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
@@ -49,7 +47,7 @@ def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
 
 
 def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
-    """Accuracy of a fix, its method and reason, and the comparison with samples."""
+    """Accuracy of a fix, its method and reason, and what samples say of it."""
     if subject.accuracy is None or not subject.is_fix[detail.index]:
         return {"verdict": "", "because": detail.unsure, "agreed": ""}
     one, index = subject.accuracy, detail.index
@@ -61,30 +59,21 @@ def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     )
     figures = [(f"{kind}{percent}", words.length(float(np.asarray(x)[index])), what) for kind, x, what in radii]
     method = Method(int(np.asarray(one.method)[index]))
-    agreed = "" if detail.comparison is None else _agreed(detail.comparison, method, subject.probability)
+    agreed = "" if detail.checked is None else _agreed(detail.checked)
     said = {"figures": figures, "method": method.words, "verdict": VERDICTS[method], "because": row["accuracy_text"]}
     return said | {"agreed": agreed}
 
 
-def _agreed(comparison: Comparison, method: Method, probability: float) -> str:
-    """Comparison of linear propagation with samples, one or two sentences."""
-    name = f"CE{words.percent_name(probability)}"
-    one = comparison.sampled.circular_error(probability)
-    linear = {key: float(p.circular_error(probability)) for key, p in comparison.propagations.items()}
-    count = words.count(comparison.sampled.count)
-    said = f"{count} samples give {name} {words.length(one.value)} ({words.length(one.low)} to {words.length(one.high)}"
-    said += ", 95 % interval)"
-    if method is Method.samples:
-        said += f"; linear propagation gives {words.length(linear[FACET])} with the facet slope and "
-        said += f"{words.length(linear[FOOTPRINT])} with the footprint slope."
-    else:
-        radius = linear[FACET if method is Method.facet else FOOTPRINT]
-        inside = one.low <= radius <= one.high
-        off = f"{100.0 * abs(radius / one.value - 1.0):.1f} % {'more' if radius > one.value else 'less'}"
-        said += f": linear propagation, {words.length(radius)}, is {'inside' if inside else off}."
-    if comparison.jumped > 0.0 or comparison.failed > 0.0:
-        jumped, failed = words.share(comparison.jumped), words.share(comparison.failed)
-        said += f" {jumped} of them hit a nearer or farther slope, {failed} have no fix."
+def _agreed(checked: AccuracyCheck) -> str:
+    """The share of the samples within the circular error, one or two sentences."""
+    name, share = f"CE{words.percent_name(checked.accuracy.level())}", checked.within
+    count = words.count(checked.sampled.count)
+    low, high = 100.0 * share.low, 100.0 * share.high
+    said = f"{100.0 * share.estimate:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %, "
+    said += "95 % interval)."
+    jumped, failed = checked.jumped, checked.sampled.failed
+    if jumped > 0.0 or failed > 0.0:
+        said += f" {words.share(jumped)} of them hit a nearer or farther slope, {words.share(failed)} have no fix."
     return said
 
 
@@ -97,34 +86,6 @@ def _mgrs(lat: float, lon: float) -> str | None:
     if square is None or len(square) < 13:
         return square
     return f"{square[:-12]} {square[-12:-10]} {square[-10:-5]} {square[-5:]}"
-
-
-def comparison_of(comparison: Comparison) -> dict[str, Any]:
-    """Comparison table: figures in m with validity marks per method, sampled figures, their intervals, the verdict."""
-    rows = [
-        {
-            "method": row.method,
-            "cells": [
-                {
-                    "text": words.radius(value),
-                    "mark": MARKS[validity][0],
-                    "kind": validity.replace(" ", "-"),
-                    "title": MARKS[validity][1],
-                }
-                for value, validity in zip(row.values, row.validity, strict=True)
-            ],
-        }
-        for row in comparison.rows
-    ]
-    quantiles = comparison.quantiles
-    return {
-        "headers": [name for name, _ in FIGURES],
-        "rows": rows,
-        "samples": [words.radius(q.value) for q in quantiles],
-        "intervals": [f"{words.radius(q.low)} to {words.radius(q.high)}" for q in quantiles],
-        "count": words.count(comparison.sampled.count),
-        "verdict": comparison.verdict,
-    }
 
 
 def summary_of(subject: ReportData, rows: Sequence[Row]) -> dict[str, Any]:

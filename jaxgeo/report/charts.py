@@ -1,4 +1,4 @@
-"""Charts of one fix: terrain section under its line of sight, and its error cloud with linear propagation."""
+"""Charts of one fix: terrain section under its line of sight, and its error cloud with the accuracy."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from bokeh.models import BoxZoomTool, HoverTool, PanTool, Range1d, ResetTool, Wh
 from bokeh.plotting import figure
 
 from jaxgeo.plot.sightline import Section
-from jaxgeo.plot.style import BLUE, EARTH, INK, JUMPED, LINEAR, MUTED, SHADE, SIGHT, SKY, VERMILLION
+from jaxgeo.plot.style import BLUE, EARTH, INK, JUMPED, MUTED, SHADE, SIGHT, SKY, VERMILLION
 from jaxgeo.report import words
-from jaxgeo.report.details import FACET, FOOTPRINT, Detail
+from jaxgeo.report.details import Detail
 from jaxgeo.report.map import dress
 from jaxgeo.report.places import samples_of
-from jaxgeo.uncertainty import Propagation
+from jaxgeo.uncertainty import Accuracy
 
 MOST_POINTS = 900  # per section, enough for a screen
 MOST_DOTS = 3000
@@ -90,15 +90,13 @@ def _hits(chart: Any, section: Section, scale: float) -> None:
 
 
 def cloud_chart(detail: Detail, name: str, probability: float = 0.9) -> Any:
-    """Chart of the sampled errors of a fix, m east and north, with ellipses and circles; None without samples."""
-    comparison = detail.comparison
+    """Chart of the sampled errors of a fix, m east and north, with its ellipse and circle; None without samples."""
     points, jumped = samples_of(detail, MOST_DOTS)
-    if comparison is None or not len(points):
+    if detail.checked is None or not len(points):
         return None
-    linear = {key: one for key, one in comparison.propagations.items() if key in (FACET, FOOTPRINT)}
-    sampled = comparison.sampled.circular_error(probability).value
-    radii = [sampled, *(float(one.circular_error(probability)) for one in linear.values())]
-    circles = [radius for radius in radii if math.isfinite(radius)]
+    answer = detail.checked.accuracy
+    radius = float(answer.circular)
+    circles = [radius] if math.isfinite(radius) else []
     away = np.abs(points[:, :2]).max(axis=1)
     reach = max([float(np.quantile(away[kind], SHOWN)) for kind in (~jumped, jumped) if kind.any()])
     half = 1.06 * max(min(reach, FAR * max(circles, default=math.inf)), *circles, 1e-3)
@@ -108,11 +106,7 @@ def cloud_chart(detail: Detail, name: str, probability: float = 0.9) -> Any:
         dots.append(_dots(chart, points[jumped], JUMPED))
     tip = [("east", "@x{0.00} m"), ("north", "@y{0.00} m"), ("up", "@up{0.00} m"), ("horizontal", "@off{0.00} m")]
     chart.add_tools(HoverTool(renderers=dots, tooltips=tip, point_policy="snap_to_data", limit=1, visible=False))
-    lines = []
-    drawn = comparison.sampled
-    lines += _curves(chart, "samples", drawn.mean_enu, drawn.cov_enu, (probability, sampled), BLUE)
-    for (key, one), colour in zip(linear.items(), LINEAR, strict=False):
-        lines += _linear(chart, key, one, probability, colour)
+    lines = _curves(chart, answer, probability, radius)
     chart.add_tools(HoverTool(renderers=lines, tooltips=[("", "@what")], line_policy="interp", visible=False))
     chart.scatter([0.0], [0.0], marker="cross", size=16, line_color=INK, line_width=2)
     return chart
@@ -124,28 +118,24 @@ def _dots(chart: Any, points: np.ndarray, colour: str) -> Any:
     return chart.scatter("x", "y", source=source, size=3.5, fill_color=colour, line_color=None, fill_alpha=0.6)
 
 
-def _linear(chart: Any, key: str, one: Propagation, probability: float, colour: str) -> list[Any]:
-    radius = float(one.circular_error(probability))
-    return _curves(chart, key, np.asarray(one.bias_enu), np.asarray(one.cov_enu), (probability, radius), colour)
-
-
-def _curves(
-    chart: Any, key: str, mean: np.ndarray, cov: np.ndarray, held: tuple[float, float], colour: str
-) -> list[Any]:
-    """Draw the covariance ellipse and the circle; `held` is (probability, radius of the circle in m)."""
-    probability, radius = held
+def _curves(chart: Any, answer: Accuracy, probability: float, radius: float) -> list[Any]:
+    """Draw the ellipse of linear propagation, where it is valid, and the circle of `radius` in m."""
     percent = words.percent_name(probability)
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     ring = np.stack([np.cos(turn), np.sin(turn)])
-    lines = []
-    values, vectors = np.linalg.eigh(np.nan_to_num(np.asarray(cov)[:2, :2]))
-    root = vectors * np.sqrt(np.maximum(values, 0.0)) * math.sqrt(-2.0 * math.log1p(-probability))
-    curves = [(f"covariance ellipse, {percent} %", np.asarray(mean)[:2, None] + root @ ring, "solid")]
+    curves = []
+    cov = np.asarray(answer.cov_enu)[:2, :2]
+    if np.isfinite(cov).all():
+        values, vectors = np.linalg.eigh(cov)
+        root = vectors * np.sqrt(np.maximum(values, 0.0)) * math.sqrt(-2.0 * math.log1p(-probability))
+        mean = np.asarray(answer.bias_enu)[:2, None]
+        curves.append((f"covariance ellipse, {percent} %", mean + root @ ring, "solid"))
     if math.isfinite(radius):
         curves.append((f"CE{percent} {words.length(radius)}", radius * ring, "dashed"))
+    lines = []
     for what, (x, y), dash in curves:
-        source = {"x": x, "y": y, "what": [f"{key}: {what}"] * len(x)}
-        lines.append(chart.line("x", "y", source=source, line_color=colour, line_width=2.2, line_dash=dash))
+        source = {"x": x, "y": y, "what": [what] * len(x)}
+        lines.append(chart.line("x", "y", source=source, line_color=BLUE, line_width=2.2, line_dash=dash))
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Details of selected fixes: section under the line of sight, comparison of methods, error budget."""
+"""Details of selected fixes: section under the line of sight, samples that check the accuracy, error budget."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from jaxgeo.plot.sightline import Section, section_under
 from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 from jaxgeo.terrain import ConstantHeight, Dem
-from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Method, Sampling, budget, compare
-from jaxgeo.uncertainty._compare import FIGURES
+from jaxgeo.uncertainty import AccuracyCheck, Budget, ErrorModel, Sampling, budget, check_accuracy
 
 SAMPLES = 20_000  # same number and key as in `accuracy`, hence the same samples
 ON_A_SIDE = 24  # points per image edge located on the ground
 LEVEL_SAMPLES = 512
 BEHIND = 1.06  # section length, times the slant range
-FACET, FOOTPRINT = "linear, facet", "linear, footprint"
 
 
 class Detail(NamedTuple):
@@ -40,7 +38,7 @@ class Detail(NamedTuple):
     chosen: str
     section: Section | None
     outline: np.ndarray
-    comparison: Comparison | None = None
+    checked: AccuracyCheck | None = None
     budget: Budget | None = None
     unsure: str = ""
 
@@ -48,19 +46,11 @@ class Detail(NamedTuple):
         """Plain numbers and strings."""
         content: dict[str, Any] = {"index": self.index}
         content |= {"budget": None if self.budget is None else self.budget.to_dict()}
-        if self.comparison is None:
-            return content | {"comparison": None, "because": self.unsure}
-        one = self.comparison
-        names = [f"{name.lower()}_m" for name, _ in FIGURES]
-        methods = [
-            {"method": row.method, **dict(zip(names, row.values, strict=True)), "validity": list(row.validity)}
-            for row in one.rows
-        ]
-        sampled = {
-            name: {"value": q.value, "low": q.low, "high": q.high} for name, q in zip(names, one.quantiles, strict=True)
-        }
-        samples = {"count": one.sampled.count, "jumped": one.jumped, "failed": one.failed, **sampled}
-        return content | {"comparison": {"methods": methods, "samples": samples, "verdict": one.verdict}}
+        if self.checked is None:
+            return content | {"samples": None, "because": self.unsure}
+        one = self.checked
+        shares = {"within": one.within._asdict(), "jumped": one.jumped, "failed": one.sampled.failed}
+        return content | {"samples": {"count": one.sampled.count, **shares}}
 
 
 def details_of(subject: ReportData, *, most: int = 3) -> list[Detail]:
@@ -107,14 +97,12 @@ def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.
         return detail._replace(unsure="No error sources are given.")
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
     options: dict[str, Any] = {"sampling": Sampling(count=SAMPLES), "atmosphere": subject.atmosphere}
-    compared = compare(sensor, shot, uv, terrain, model, **options)
-    is_facet = int(np.asarray(subject.accuracy.method)[index]) == Method.facet
-    linear = compared.propagations[FACET if is_facet else FOOTPRINT]
-    if not np.isfinite(np.asarray(linear.cov_enu)).all():
+    checked = check_accuracy(sensor, shot, uv, terrain, model, probability=subject.probability, **options)
+    if not np.isfinite(np.asarray(checked.accuracy.propagation.cov_enu)).all():
         return detail._replace(
-            comparison=compared, unsure="The ground slope is undefined here, so errors cannot be propagated."
+            checked=checked, unsure="The ground slope is undefined here, so errors cannot be propagated."
         )
-    return detail._replace(comparison=compared, budget=budget(linear, subject.probability))
+    return detail._replace(checked=checked, budget=budget(checked.accuracy))
 
 
 def _section(subject: ReportData, index: int, ray: Ray, terrain: Any) -> Section | None:

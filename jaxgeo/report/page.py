@@ -21,9 +21,9 @@ from markupsafe import Markup
 from jaxgeo._destination import destination
 from jaxgeo.io._fix_columns import figures_of, rows_of
 from jaxgeo.io.registration_report import versions
-from jaxgeo.plot.style import INK, JUMPED, ORANGE, PURPLE, SIGHT, SKY, VERMILLION
+from jaxgeo.plot.style import INK, JUMPED, PURPLE, SIGHT, SKY, VERMILLION
 from jaxgeo.report import words
-from jaxgeo.report.answers import answer_of, camera_of, comparison_of, summary_of
+from jaxgeo.report.answers import answer_of, camera_of, summary_of
 from jaxgeo.report.budgets import budget_of
 from jaxgeo.report.charts import cloud_chart, section_chart
 from jaxgeo.report.data import ReportData
@@ -104,7 +104,6 @@ def report_html(
             layers=[layer for layer in LAYERS if _is_there(charts["map"], layer[0])],
             has_jumped=any(one["has_jumped"] for one in shown),
             jumped_colour=JUMPED,
-            linear_colours=(INK, ORANGE),
             track_colour=None if places.is_one_camera else PURPLE,
             zooms=_zooms(subject, details, places),
             has_ground=isinstance(subject.terrain, Dem),
@@ -167,9 +166,8 @@ def _shown(
         "section": detail.section,
         "has_section": section is not None,
         "has_cloud": cloud is not None,
-        "has_jumped": detail.comparison is not None and detail.comparison.jumped > 0.0,
+        "has_jumped": detail.checked is not None and detail.checked.jumped > 0.0,
         "budget": None if detail.budget is None else budget_of(detail.budget),
-        "comparison": None if detail.comparison is None else comparison_of(detail.comparison),
         "unsure": detail.unsure,
     }
 

@@ -136,11 +136,10 @@ def cloud_of(subject: ReportData, detail: Detail) -> tuple[np.ndarray, np.ndarra
 
 def samples_of(detail: Detail, most: int) -> tuple[np.ndarray, np.ndarray]:
     """(errors (n, 3) in m, ENU, of up to `most` samples with a fix, mask of those on other ground)."""
-    comparison = detail.comparison
-    if comparison is None or comparison.sampled.errors_enu is None:
+    if detail.checked is None:
         return np.zeros((0, 3)), np.zeros(0, bool)
-    errors = comparison.sampled.errors_enu
-    beyond = np.zeros(len(errors), bool) if comparison.beyond_gap is None else np.asarray(comparison.beyond_gap, bool)
+    sampled, beyond = detail.checked.sampled, detail.checked.beyond_gap
+    errors = np.asarray(sampled.errors_enu)
     found = np.flatnonzero(np.isfinite(errors[:, 0]))
     found = found[:: max(-(-len(found) // most), 1)]
-    return errors[found] + comparison.sampled.centre_enu, beyond[found]
+    return errors[found] + sampled.centre_enu, beyond[found]

@@ -13,6 +13,7 @@ from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_d
 from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
+from jaxgeo.uncertainty.accuracy_check import AccuracyCheck, check_accuracy
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.histogram import RadiusHistogram
@@ -32,6 +33,7 @@ __all__ = [
     "NO_FIX",
     "AbstractDraws",
     "Accuracy",
+    "AccuracyCheck",
     "AccuracyMap",
     "Budget",
     "Comparison",
@@ -64,6 +66,7 @@ __all__ = [
     "accuracy_map",
     "budget",
     "certified_design",
+    "check_accuracy",
     "circular_error",
     "compare",
     "datasheet",

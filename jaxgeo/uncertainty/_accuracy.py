@@ -135,7 +135,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
         radii = _scaled(tuple(error_of(level) for error_of in errors_of), profile, nominal, cov, level)
     circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
     more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
-    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, model.left_out)
+    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, profile, model.left_out)
 
 
 @quick_filter_jit

@@ -18,7 +18,9 @@ from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.status import Status
+from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.linear import Propagation
+from jaxgeo.uncertainty.method_selection import Method
 from jaxgeo.uncertainty.metrics import circular_error
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
@@ -30,6 +32,7 @@ Sigmas = Float[Array, " sigmas"]
 Covariances = Float[Array, "causes 3 3"]
 READ_AS = {"rad": ("deg", 180.0 / math.pi)}  # display unit and factor
 ROUGHNESS = "roughness of the ground"
+NOT_LINEAR = "Linear propagation is not valid at this fix: the shares are those of small errors."
 
 
 class Variance(NamedTuple):
@@ -67,9 +70,10 @@ class SourceShare(NamedTuple):
 class Budget(Record):
     """Error budget of one observation by linear propagation; print it for a table.
 
-    `total` is the variance of the fix, the sum of `shares()`; `circular_error` in m is that at `probability`. With a
-    footprint slope the last of `sources` is the roughness of the ground, which has no sigma. With a `status` other than
-    `hit`, its message limits the validity of the budget. `note` says what it leaves out of errors that are not normal.
+    `total` is the variance of the fix, the sum of `shares()`; `circular_error` in m is that at `probability`, of an
+    accuracy the same that it states. With a footprint slope the last of `sources` is the roughness of the ground, which
+    has no sigma. With a `status` other than `hit`, its message limits the validity of the budget. `note` says what it
+    leaves out.
     """
 
     sources: tuple[SourceShare, ...]
@@ -100,7 +104,8 @@ class Budget(Record):
         rows = [("error", "sigma", "horizontal", "vertical", f"{percent} without", f"d{percent}/dsigma")]
         for row in sorted(self._rows(), key=lambda row: row.order):
             sigma, slope = ("", "") if row.line is None else _as_read(row.line)
-            rows.append((row.name, sigma, *self._percent(row.variance), f"{row.without:.3f} m", slope))
+            without = f"{row.without:.3f} m" if math.isfinite(row.without) else ""
+            rows.append((row.name, sigma, *self._percent(row.variance), without, slope))
         total = (f"{math.sqrt(self.total.horizontal):.3f} m", f"{math.sqrt(self.total.vertical):.3f} m")
         rows.append(("total standard deviation", "", *total, f"{percent} {self.circular_error:.3f} m", ""))
         notes = [] if self.status == Status.hit else [f"{self.status.name}: {self.status.message}"]
@@ -191,15 +196,20 @@ def _level_and_slopes(linear: Linear, sigma: Sigmas) -> tuple[Float[Array, "2 2"
     return linear.on_level(sigma), jax.jacfwd(linear.on_level)(sigma)
 
 
-def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
+def budget(propagation: Propagation | Accuracy, probability: ArrayLike | None = None) -> Budget:
     """Error budget: contribution of each standard deviation to the covariance and circular error of a fix.
 
     Of errors that are not normal only the variance counts; `sobol_indices` uses their distributions. Variances add up;
     circular errors do not. Each row therefore also has the circular error without that contribution,
     all others unchanged, and the derivative by the sigma, both of the exact quantile. Correlated axes have a share only
     as a block; one of them may reduce the error if it cancels another. With a footprint slope the plane is held fixed.
-    Raises `ValueError` for a propagation without a fix, a batch, or a probability outside (0, 1), `TypeError` for
-    another type or a traced propagation.
+
+    From the `jaxgeo.accuracy` of one fix, circular errors are scaled to the one that it states, which follows the
+    terrain profile. If that is of samples, linear propagation is not valid, and there is no circular error without a
+    source, nor a derivative (NaN).
+
+    `probability` is 0.9, or that of the accuracy. Raises `ValueError` for a propagation without a fix, a batch, a
+    probability outside (0, 1) or other than that of the accuracy; `TypeError` for another type or traced values.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -220,17 +230,40 @@ def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
     gimbal angles: CE90 without it 10.67 m of 11.52 m
     terrain height: CE90 without it 11.06 m of 11.52 m
     """
+    stated = propagation if isinstance(propagation, Accuracy) else None
+    if stated is not None:
+        propagation, probability = _propagation_of(stated, probability)
     linear = Linear.of(propagation, "An error budget")
-    probability = check_probability(probability)
+    probability = check_probability(0.9 if probability is None else probability)
     covs, others = _causes(linear)
     without = [float(circular_error(cov[:2, :2], probability, linear.bias_enu[:2])) for cov in others]
     error, slopes = error_and_slopes(linear, sigmas_of(linear.model), probability)
+    radius, note = float(error), propagation.note
+    if stated is not None:
+        radius, times = float(stated.circular), float(stated.circular) / radius if radius > 0.0 else 1.0
+        if int(stated.method) == Method.samples:
+            times, note = math.nan, NOT_LINEAR if note is None else f"{NOT_LINEAR} {note}"
+        without, slopes = [times * one for one in without], times * slopes
     variances = [_variance(cov) for cov in jax.device_get(covs)]
     sources = _of_sources(linear.model, variances, without, slopes.tolist())
     if float(propagation.surface.roughness) > 0.0:
         sources = (*sources, SourceShare(ROUGHNESS, variances[-1], without[-1], True, ()))
     status = Status(int(propagation.fix.status))
-    return Budget(sources, _variance(propagation.cov_enu), float(error), float(probability), status, propagation.note)
+    return Budget(sources, _variance(propagation.cov_enu), radius, float(probability), status, note)
+
+
+def _propagation_of(accuracy: Accuracy, probability: ArrayLike | None) -> tuple[Propagation, float]:
+    """(linear propagation, probability) of the accuracy of one fix; `probability` is that asked for, if any."""
+    if accuracy.propagation is None:
+        raise ValueError(
+            "An error budget is of one fix, and of an accuracy that was not computed under jit or vmap: "
+            "jaxgeo.accuracy(sensor, shot, uv, terrain, errors) of one pixel, or jaxgeo.propagate."
+        )
+    level = accuracy.level()
+    if probability is not None and float(check_probability(probability)) != level:
+        asked = float(jnp.asarray(probability))
+        raise ValueError(f"the accuracy is of probability {level:g}; for {asked:g}, pass it to jaxgeo.accuracy.")
+    return accuracy.propagation, level
 
 
 @quick_filter_jit
@@ -328,7 +361,8 @@ def _membership(model: ErrorModel) -> Float[Array, "sources sigmas"]:
 def _as_read(line: SigmaShare) -> tuple[str, str]:
     unit, factor = READ_AS.get(line.unit, (line.unit, 1.0))
     one = f"({unit})" if "/" in unit else unit
-    return f"{line.sigma * factor:.4g} {unit}", f"{line.slope / factor:.4g} m/{one}"
+    slope = f"{line.slope / factor:.4g} m/{one}" if math.isfinite(line.slope) else ""
+    return f"{line.sigma * factor:.4g} {unit}", slope
 
 
 def _source_as_dict(source: SourceShare) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from jaxgeo.status import Status, count_statuses
 from jaxgeo.uncertainty.host_arrays import take
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, explain_method, select_method
+from jaxgeo.uncertainty.profile import Profile
 from jaxgeo.uncertainty.sampled import Sampled
 
 
@@ -46,10 +47,10 @@ class Accuracy(OldNames, Record):
     fix, and NaN where samples are needed but not drawn or there is no fix. `method` is the propagation method (codes
     of `Method`), `NO_FIX` (-1) without a fix: `fix.status` then gives the reason. `cov_enu` (..., 3, 3) in m² and
     `bias_enu` (..., 3) in m, east, north, up, are those of linear propagation, NaN where it is not valid. The radii are
-    then those of this covariance, times the ratio at 90 % of the figure over the terrain profile to that over the
-    plane: within 5 % of samples in 97 % of looks at rough and real terrain (benchmarks/verdict.py). `failed` is
-    the share of samples without a fix, NaN if none were drawn; `count` is the number of samples drawn where they are
-    needed. `diagnostics` selected the method. `propagation` and `sampled` hold the details of one fix outside `jit`.
+    then those of this covariance, times the ratio of the figure over the terrain profile to that over the plane: within
+    5 % of samples in 97 % of looks at rough and real terrain (benchmarks/verdict.py). `failed` is the share of samples
+    without a fix, NaN if none were drawn; `count` is the number of samples drawn where they are needed. `diagnostics`
+    selected the method. `propagation`, `sampled` and the terrain `profile` hold the details of one fix outside `jit`.
     `note` says what linear propagation leaves out of errors that are not normal, None if all are normal.
 
     A pytree for `jit` and `vmap`. `found[3]` is one of many; `str(found)` describes one, and summarises many.
@@ -68,6 +69,7 @@ class Accuracy(OldNames, Record):
     count: int = eqx.field(static=True, default=0)
     propagation: Propagation | None = None
     sampled: Sampled | None = None
+    profile: Profile | None = None
     note: str | None = eqx.field(static=True, default=None)
 
     @property

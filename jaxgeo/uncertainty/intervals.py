@@ -106,6 +106,20 @@ def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:
     return Interval(mean, max(mean - half, 0.0), mean + half)
 
 
+def share_interval(inside: int, count: int, confidence: float = 0.95) -> Interval:
+    """The share of `count` independent samples that are inside of something, and its confidence interval.
+
+    The number inside is binomial (Clopper and Pearson 1934, "The use of confidence or fiducial limits illustrated in
+    the case of the binomial").
+    """
+    count = _whole(count, "count", 1)
+    _check_share(confidence, "confidence")
+    aside = 0.5 * (1.0 - confidence)
+    low = float(scipy.special.betaincinv(inside, count - inside + 1, aside)) if inside else 0.0
+    high = float(scipy.special.betaincinv(inside + 1, count - inside, 1.0 - aside)) if inside < count else 1.0
+    return Interval(inside / count, low, high)
+
+
 def relative_half_width(interval: Interval) -> float:
     """Half the width of an interval divided by its estimate: the stopping criterion of adaptive sampling.
 

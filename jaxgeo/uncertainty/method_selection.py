@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -39,6 +39,7 @@ SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the
 NO_FIX = -1  # in place of a `Method`, without a fix
 LEVEL = 0.9  # probability of the figures that are compared
 GRAZING = 0.01  # sine of the angle between ray and surface
+SAME = 5e-4  # difference of two figures, of their size, that is not worth a word
 
 
 @portable
@@ -178,23 +179,38 @@ def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
 
 def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     """Why this method was selected and no cheaper one, with the deciding figures."""
-    facet, footprint, profile = (float(x) for x in (diagnostics.facet, diagnostics.footprint, diagnostics.profile))
     jumps, fails = 100.0 * float(diagnostics.jumps), 100.0 * float(diagnostics.fails)
-    figures = (
-        f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
-    )
-    follows = "The radii follow the profile."
+    circular = _against_profile("CE90", diagnostics.facet, diagnostics.footprint, diagnostics.profile)
     if method is Method.facet:
-        return f"The ground is nearly planar within the error region: {figures}. {follows}"
+        return f"The ground is nearly planar within the error region: {circular}, which the radii follow."
     if method is Method.footprint:
-        return f"The slope at the fix differs from the mean slope of the error region: {figures}. {follows}"
+        said = "The slope at the fix differs from the mean slope of the error region"
+        return f"{said}: {circular}, which the radii follow."
     obstacle = _obstacle(diagnostics, fails, jumps)
     if obstacle is not None:
-        return f"{obstacle}: {figures}."
-    return (
-        f"The ground is not planar within the error region: {figures}; LE90 {float(diagnostics.facet_up):.3g}, "
-        f"{float(diagnostics.footprint_up):.3g} and {float(diagnostics.profile_up):.3g} m."
-    )
+        return f"{obstacle}; {circular}."
+    up = _against_profile("LE90", diagnostics.facet_up, diagnostics.footprint_up, diagnostics.profile_up)
+    return f"The ground is not planar within the error region: {circular}; {up}."
+
+
+def _against_profile(name: str, *figures: Any) -> str:
+    """By how much a figure over facet and footprint differs from that over the terrain profile."""
+    *others, profile = map(float, figures)
+    ratios = [one / profile if profile > 0.0 else math.nan for one in others]
+    if all(abs(ratio - 1.0) < SAME for ratio in ratios):
+        return f"{name} is the same over facet, footprint and terrain profile"
+    facet, footprint = map(_larger, ratios)
+    return f"{name} is {facet} over the facet and {footprint} over the footprint than over the terrain profile"
+
+
+def _larger(ratio: float) -> str:
+    """A ratio as a difference in percent, or as a factor where it is large."""
+    if not math.isfinite(ratio):
+        return "incomparably larger"
+    if ratio > 3.0:
+        return f"{ratio:.3g} times larger"
+    percent = abs(100.0 * (ratio - 1.0))
+    return f"{percent:.{1 if percent < 10.0 else 0}f} % {'larger' if ratio >= 1.0 else 'smaller'}"
 
 
 def _obstacle(diagnostics: Diagnostics, fails: float, jumps: float) -> str | None:

@@ -15,7 +15,13 @@ from jaxgeo._record import Record, portable
 from jaxgeo.fix import Fix
 from jaxgeo.status import Status
 from jaxgeo.uncertainty.histogram import RadiusHistogram
-from jaxgeo.uncertainty.intervals import Interval, quantile_interval, scramble_quantile, scrambled_interval
+from jaxgeo.uncertainty.intervals import (
+    Interval,
+    quantile_interval,
+    scramble_quantile,
+    scrambled_interval,
+    share_interval,
+)
 from jaxgeo.uncertainty.origin import Origin
 
 
@@ -86,6 +92,25 @@ class Sampled(Record):
         """Radius of the sphere about the centre that contains this share of the samples."""
         return self._checked_quantile("SE", probability)
 
+    def share_within(self, figure: str, radius: float) -> Interval:
+        """Share of the samples, of all drawn, within a `radius` in m of one of the figures "CE", "LE" and "SE".
+
+        With its confidence interval: of independent draws Clopper and Pearson's, of Sobol points Student's over the
+        scrambles. Raises `ValueError` for a figure that was not asked for, a radius that is not positive, and samples
+        whose radii were not kept (`summary`).
+        """
+        self._check_figure(figure)
+        if not radius > 0.0:
+            raise ValueError(f"radius must be a positive length in m; got {radius!r}.")
+        if self.histograms is not None:
+            raise ValueError("the radii of these samples were not kept: sample again without summary.")
+        inside = self.radii[figure] <= radius
+        if not self.scrambles:
+            return share_interval(int(np.count_nonzero(inside)), self.count, self.confidence)
+        each = np.array([np.mean(inside[number :: self.scrambles]) for number in range(self.scrambles)])
+        share, low, high = scrambled_interval(each, self.confidence)
+        return Interval(share, low, min(high, 1.0))
+
     @property
     def failed(self) -> float:
         """Share of the samples without a fix."""
@@ -138,10 +163,13 @@ class Sampled(Record):
     def _checked_quantile(self, figure: str, probability: float) -> Quantile:
         if not 0.0 < probability < 1.0:
             raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
+        self._check_figure(figure)
+        return self.quantile(figure, probability)
+
+    def _check_figure(self, figure: str) -> None:
         if figure not in self.figures:
             kept = ", ".join(self.figures) or "none"
             raise ValueError(f"{figure} was not asked for; figures: {kept}. Sample again with it.")
-        return self.quantile(figure, probability)
 
     def quantile(self, figure: str, probability: float) -> Quantile:
         """One of the figures "CE", "LE" and "SE", for arguments that are known to be valid."""

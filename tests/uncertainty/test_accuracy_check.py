@@ -1,0 +1,166 @@
+"""One answer for one fix: the share of samples within it, its budget, and the same number wherever it is printed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pathlib
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+import jaxgeo
+from jaxgeo import Sampling, demo
+from jaxgeo.io.dem import DATA
+from jaxgeo.io.scene import read_scene
+from jaxgeo.uncertainty import AccuracyCheck, Method, budget, check_accuracy, compare, propagate
+from jaxgeo.uncertainty.intervals import share_interval
+from tests.support import looks
+
+LOOK = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, looks.level_errors())
+COUNT = 4096
+
+
+@pytest.fixture(scope="module")
+def checked() -> AccuracyCheck:
+    return check_accuracy(*LOOK, sampling=Sampling(count=COUNT))
+
+
+@pytest.mark.parametrize("inside", [0, 1, 37, 90, 100])
+@pytest.mark.parametrize("confidence", [0.5, 0.95])
+def test_a_share_has_the_interval_of_clopper_and_pearson(inside: int, confidence: float) -> None:
+    expected = scipy.stats.binomtest(inside, 100).proportion_ci(confidence, method="exact")
+    found = share_interval(inside, 100, confidence)
+    np.testing.assert_allclose(found, (inside / 100.0, *expected), rtol=1e-9, atol=1e-12)  # it solves, to 1e-12
+
+
+def test_the_share_within_a_quantile_is_its_probability(checked: AccuracyCheck) -> None:
+    for figure in ("CE", "LE", "SE"):
+        for probability in (0.1, 0.5, 0.9):
+            radius = checked.sampled.quantile(figure, probability).value
+            share = checked.sampled.share_within(figure, radius)
+            assert abs(share.estimate - probability) <= 1.0 / COUNT
+            assert share.low < probability < share.high
+
+
+def test_samples_hold_what_the_accuracy_says(checked: AccuracyCheck) -> None:
+    """Over level ground the error is nearly normal: the share is binomial."""
+    within = checked.within
+    inside = round(within.estimate * COUNT)
+    assert scipy.stats.binomtest(inside, COUNT, 0.9).pvalue > 1e-4
+    assert f"{100.0 * within.estimate:.1f} % of 4 096 samples lie within this CE90" in str(checked)
+    assert (checked.jumped, checked.sampled.failed) == (0.0, 0.0)
+    assert str(checked).startswith(str(checked.accuracy))
+
+
+def test_a_share_of_sobol_points_is_the_mean_over_their_scrambles(checked: AccuracyCheck) -> None:
+    radius = float(checked.accuracy.circular)
+    drawn = dataclasses.replace(checked.sampled, scrambles=16)
+    share = drawn.share_within("CE", radius)
+    each = np.mean((drawn.radii["CE"] <= radius).reshape(-1, 16), axis=0)
+    interval = scipy.stats.t.interval(0.95, 15, loc=each.mean(), scale=scipy.stats.sem(each))
+    np.testing.assert_allclose(share, (each.mean(), *interval), rtol=1e-12)
+
+
+def test_a_share_that_cannot_be_told_is_refused(checked: AccuracyCheck) -> None:
+    with pytest.raises(ValueError, match="CX was not asked for"):
+        checked.sampled.share_within("CX", 1.0)
+    for radius in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="positive length"):
+            checked.sampled.share_within("CE", radius)
+    with pytest.raises(ValueError, match="without summary"):
+        checked.sampled.summarised().share_within("CE", 1.0)
+    with pytest.raises(ValueError, match="keep=True"):
+        AccuracyCheck(checked.accuracy, checked.sampled.summarised())
+    with pytest.raises(ValueError, match="one fix"):
+        AccuracyCheck(dataclasses.replace(checked.accuracy, profile=None), checked.sampled)
+    with pytest.raises(TypeError):
+        AccuracyCheck(checked.sampled, checked.sampled)  # pyright: ignore
+
+
+def test_the_budget_of_an_accuracy_ends_at_its_number(checked: AccuracyCheck) -> None:
+    """Every circular error is scaled like the whole; shares of the variance stay."""
+    accuracy = checked.accuracy
+    stated = dataclasses.replace(accuracy, circular=1.1 * accuracy.circular)
+    plain, scaled = budget(propagate(*LOOK)), budget(stated)
+    assert scaled.circular_error == float(stated.circular)
+    times = scaled.circular_error / plain.circular_error
+    assert times == pytest.approx(1.1, rel=1e-6)
+    for one, other in zip(plain.sources, scaled.sources, strict=True):
+        np.testing.assert_allclose(other.variance, one.variance, rtol=1e-9)
+        assert other.without == pytest.approx(times * one.without, rel=1e-9)
+        for a, b in zip(one.sigmas, other.sigmas, strict=True):
+            np.testing.assert_allclose((b.without, b.slope), (times * a.without, times * a.slope), rtol=1e-9)
+    assert f"CE90 {float(stated.circular):.3f} m" in str(scaled)
+
+
+def test_a_budget_where_linear_propagation_is_not_valid_gives_shares_only(checked: AccuracyCheck) -> None:
+    sampled = dataclasses.replace(checked.accuracy, method=jnp.asarray(Method.samples.value))
+    found = budget(sampled)
+    assert found.circular_error == float(sampled.circular)
+    assert found.note is not None
+    assert "not valid at this fix" in found.note
+    assert found.note in str(found)
+    assert "nan" not in str(found)
+    for source in found.sources:
+        assert np.isnan([source.without, *(line.slope for line in source.sigmas)]).all()
+    whole = np.sum(list(found.shares().values()), axis=0)
+    np.testing.assert_allclose(whole, found.total, rtol=1e-12)
+
+
+def test_a_budget_of_another_probability_or_of_many_fixes_is_refused(checked: AccuracyCheck) -> None:
+    assert budget(checked.accuracy, 0.9) == budget(checked.accuracy)
+    with pytest.raises(ValueError, match=r"of probability 0.9; for 0.5, pass it to jaxgeo\.accuracy"):
+        budget(checked.accuracy, 0.5)
+    with pytest.raises(ValueError, match="of one pixel"):
+        budget(dataclasses.replace(checked.accuracy, propagation=None))
+
+
+@pytest.mark.slow
+def test_samples_on_other_ground_are_those_of_the_comparison() -> None:
+    scene = read_scene(demo.scene_file())
+    look = (scene.sensor, scene.shot, (2256.0, 1343.0), jaxgeo.io.example_dem(), scene.errors)
+    one = check_accuracy(*look, sampling=Sampling(count=COUNT))
+    other = compare(*look, sampling=Sampling(count=COUNT))
+    np.testing.assert_array_equal(one.beyond_gap, other.beyond_gap)
+    assert one.jumped == other.jumped
+
+
+@pytest.mark.slow
+def test_everything_prints_the_same_number_for_the_fix_of_the_demonstration(tmp_path: pathlib.Path) -> None:
+    """The demonstration, its budget, one and many fixes, `jaxgeo locate` and the report."""
+    from typer.testing import CliRunner
+
+    from jaxgeo.cli import app
+    from jaxgeo.plot import budget_bars, error_cloud
+
+    made = demo.make_demo()
+    errors, uv = made.errors, made.uv[made.errors.number]
+    number = float(errors.accuracy.circular)
+    scene = read_scene(demo.scene_file())
+    many = jaxgeo.accuracy(scene.sensor, scene.shot, made.uv[:4] * 0.0 + uv, made.dem, scene.errors)
+    np.testing.assert_allclose(many.circular, number, rtol=1e-6)
+    assert errors.budget.circular_error == number
+
+    def run(*arguments: Any) -> str:
+        result = CliRunner().invoke(app, [str(one) for one in arguments])
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    pixel = ["--scene", demo.scene_file(), "--dem", DATA / "jacksboro.tif", "--pixel", f"{uv[0]:g},{uv[1]:g}", "--json"]
+    (located,) = json.loads(run("locate", *pixel))["fixes"]
+    page = tmp_path / "page.html"
+    told = json.loads(run("report", *pixel, "-o", page))
+    assert located["ce90_m"] == pytest.approx(number, rel=1e-4)
+    assert told["fixes"][0]["ce90_m"] == located["ce90_m"]
+    assert told["details"][0]["budget"]["circular_error_m"] == pytest.approx(number, rel=1e-4)
+    words = f"CE90 {number:.1f} m"
+    for text in (
+        f"CE90 {float(many.circular[0]):.1f} m",
+        error_cloud(errors.checked).get_legend().get_texts()[1].get_text(),
+        budget_bars(errors.budget).get_title(loc="right"),
+    ):
+        assert words in text
