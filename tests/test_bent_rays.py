@@ -115,6 +115,7 @@ def waves(position):
 WAVES = HeightFunction(waves, 200.0, 400.0, lipschitz=0.14)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "terrain", [*(pytest.param(x, marks=pytest.mark.slow) for x in ("mountains", "waves")), "constant"]
 )
@@ -179,6 +180,7 @@ def test_air_that_is_not_finite_is_told_and_poisons_no_gradient():
     assert float(gradient[1]) == 0.0
 
 
+@pytest.mark.costly
 def test_beyond_the_straight_horizon_the_bent_ray_still_comes_down():
     """And a little higher not even that one does."""
     origin = jnp.array([WGS84.a + 10_000.0, 0.0, 0.0])

@@ -58,6 +58,7 @@ def locate_shots(path: pathlib.Path, *more: str | pathlib.Path):
     return run("locate", "--scene", scene_file(), "--dem", DEM, "--shots", path, *more)
 
 
+@pytest.mark.costly
 def test_every_row_of_a_table_comes_back(shots_file) -> None:
     result = locate_shots(shots_file(all_rows()))
     assert result.exit_code == 0, result.stderr
@@ -79,6 +80,7 @@ def test_every_row_of_a_table_comes_back(shots_file) -> None:
         assert Status[name].message[:40] in result.stderr
 
 
+@pytest.mark.costly
 def test_a_pixel_on_the_command_line_is_the_same_fix(shots_file) -> None:
     result = run(
         "locate", "--scene", scene_file(), "--dem", DEM, "--pixel", "1199.5,2399.5", "--no-accuracy", "--format", "csv"
@@ -105,6 +107,7 @@ def test_air_in_the_scene_moves_the_fix(tmp_path: pathlib.Path) -> None:
     assert 0.3 < ranges[0] - ranges[1] < 30.0
 
 
+@pytest.mark.costly
 def test_geojson_keeps_what_has_no_place(shots_file, tmp_path: pathlib.Path) -> None:
     output = tmp_path / "fixes.geojson"
     assert locate_shots(shots_file(all_rows()), "--output", output).exit_code == 0
@@ -243,6 +246,7 @@ def test_demo_does_not_write_a_scene_onto_a_folder(tmp_path: pathlib.Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.costly
 def test_a_pipe_stays_a_pipe(tmp_path: pathlib.Path) -> None:
     pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
@@ -347,6 +351,7 @@ def test_help_says_what_demo_does_without_matplotlib() -> None:
     assert "exit code is 1" in text
 
 
+@pytest.mark.costly
 def test_the_package_is_the_command() -> None:
     done = subprocess.run([sys.executable, "-m", "jaxgeo", "--help"], capture_output=True, text=True, check=False)
     assert done.returncode == 0

@@ -85,6 +85,7 @@ def printed(line: str) -> list[str]:
     return list(dict.fromkeys(found))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("case", CASES)
 def test_every_way_out_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatch, case: str) -> None:
     tags, options, typed, reason, ways = CASES[case]

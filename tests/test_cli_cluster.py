@@ -51,6 +51,7 @@ def rows(folder: pathlib.Path) -> list[dict[str, Any]]:
     return parquet.ParquetDataset(names).read().sort_by("index").to_pylist()
 
 
+@pytest.mark.costly
 def test_the_dataset_has_the_rows_of_one_file(tmp_path: pathlib.Path, flight: pathlib.Path, by_threads) -> None:
     many = run("locate", flight, *GROUND, "--no-accuracy", "--cluster", "local:2", "-o", tmp_path / "fixes")
     assert many.exit_code == 0, many.output
@@ -65,6 +66,7 @@ def test_the_dataset_has_the_rows_of_one_file(tmp_path: pathlib.Path, flight: pa
             assert one[name] == (pytest.approx(float(other[name]), abs=1e-9) if other[name] else None)
 
 
+@pytest.mark.costly
 def test_resume_computes_what_is_missing(tmp_path: pathlib.Path, flight: pathlib.Path, by_threads) -> None:
     line = ("locate", flight, *GROUND, "--no-accuracy", "--cluster", "local:2", "-o", tmp_path / "fixes")
     assert run(*line).exit_code == 0
@@ -212,6 +214,7 @@ def test_images_of_a_file_of_poses(survey: pathlib.Path, asked: list[Any]) -> No
     )
 
 
+@pytest.mark.costly
 def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.Path) -> None:
     """Here none has one: two see no ground, and one is damaged."""
     profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": "EPSG:4326", "width": 4, "height": 4}
@@ -229,6 +232,7 @@ def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.
     assert "orthos: 0 orthophotos of 4 images (frame-*.tif), collection.json" in done.stdout
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "more, words",
     [

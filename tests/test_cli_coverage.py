@@ -147,6 +147,7 @@ def test_point_along_a_line_of_sight() -> None:
     assert "hit" in result.stderr
 
 
+@pytest.mark.costly
 def test_point_out_of_range_tells_the_nearest() -> None:
     """60 deg above the horizon: the frame of two axes comes as far as the plane of its base."""
     result = run("point", "--scene", scene_file(), "--line-of-sight", "250,-60")
@@ -288,6 +289,7 @@ def is_late(arguments: list[str]) -> bool:
     return any(argument in LATE for argument in arguments)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "arguments, words",
     [pytest.param(*one, marks=pytest.mark.slow if is_late(one[0]) else ()) for one in MISTAKES],

@@ -152,6 +152,7 @@ def advice(message: str) -> str:
     return re.sub(r'(--[a-z-]+) ("[^"]+"(?:(?:, | or )"[^"]+")+)', spread, message)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("case", ADVISED)
 def test_what_a_refusal_advises_works_as_printed(
     case: str, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch

@@ -68,6 +68,7 @@ def run(words: list[str]):
     return CliRunner().invoke(app, words, prog_name="jaxgeo")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("shown", ALL, ids=[one.line[7:60] for one in ALL])
 def test_what_is_shown_is_understood(shown: Shown) -> None:
     """No flag that is not there, none that is missing, no value of another kind."""

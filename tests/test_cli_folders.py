@@ -87,6 +87,7 @@ def sure(tmp_path_factory) -> dict:
     return json.loads(result.stdout)
 
 
+@pytest.mark.costly
 def test_each_image_has_a_row_in_order_and_the_bad_one_its_reason(located: dict) -> None:
     rows = located["fixes"]
     assert [row["name"] for row in rows] == ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"]
@@ -99,6 +100,7 @@ def test_each_image_has_a_row_in_order_and_the_bad_one_its_reason(located: dict)
     assert rows[3]["fix_lat_deg"] - rows[0]["fix_lat_deg"] == pytest.approx(0.002, abs=1e-6)
 
 
+@pytest.mark.costly
 def test_each_image_is_located_as_it_is_alone(flight: pathlib.Path, located: dict) -> None:
     for row in located["fixes"]:
         if row["status"] == "hit":
@@ -413,6 +415,7 @@ def in_shards(count: int, *arguments: str | pathlib.Path) -> list[str]:
     return rows
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_parts_of_a_folder_are_the_whole(flight: pathlib.Path, count: int) -> None:
     """Also where one file of a part cannot be read."""
@@ -437,6 +440,7 @@ def test_names_of_parts_are_those_of_the_whole(flight: pathlib.Path, tmp_path: p
         read_observations([flight], height_datum="ellipsoid", shard=(1, 2), exposures=["a.jpg"])
 
 
+@pytest.mark.costly
 def test_pixels_of_a_scene_in_parts(tmp_path: pathlib.Path) -> None:
     from jaxgeo.demo import scene_file
 

@@ -336,6 +336,7 @@ def make_wrong(line: str) -> None:
         Image.new("RGB", (8, 6)).save("plain.JPG")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("line, pattern", REFUSED, ids=[line[:50] for line, _ in REFUSED])
 def test_a_mistake_is_one_line(folder, line: str, pattern: str) -> None:
     folder(line)
@@ -499,6 +500,7 @@ def test_a_reader_that_leaves_is_not_told(tmp_path: pathlib.Path) -> None:
     assert process.returncode in (0, 1)
 
 
+@pytest.mark.costly
 @pytest.mark.skipif(os.name != "posix", reason="a shell closes it")
 def test_a_closed_stdout_is_no_fault() -> None:
     command = ["sh", "-c", '"$0" -m jaxgeo --version >&-', sys.executable]
@@ -552,6 +554,7 @@ def test_json_has_all_digits_and_the_readings_of_the_screen(folder) -> None:
     assert told.stderr == shown.stderr
 
 
+@pytest.mark.costly
 def test_an_answer_that_there_is_not_is_told_as_json_too(folder) -> None:
     line = "point --scene scene.toml --line-of-sight 250,-60 --json"
     folder(line)

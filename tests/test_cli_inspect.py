@@ -97,6 +97,7 @@ def typed(how: dict[str, object]) -> list[str]:
     return words
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: str) -> None:
     make, form, how = FILES[name]

@@ -75,6 +75,7 @@ def test_an_image_is_located_as_by_the_library(tmp_path: pathlib.Path) -> None:
     assert "--dem-sigma" not in sentences, "it was given"
 
 
+@pytest.mark.costly
 def test_the_table_on_the_screen_fits_and_says_the_status(tmp_path: pathlib.Path) -> None:
     prepare(tmp_path, "DJI_0042.JPG")
     result = run(tmp_path / "DJI_0042.JPG", *GROUND, "--dem-sigma", "2", "--pixel", "10,10", "--pixel=-10,10")
@@ -94,12 +95,14 @@ def test_what_is_typed_takes_the_place_of_what_is_assumed(image: pathlib.Path) -
     assert wide["ce50_m"] < once["fixes"][0]["ce90_m"]
 
 
+@pytest.mark.costly
 def test_without_accuracy_there_is_a_fix_alone(image: pathlib.Path) -> None:
     told = as_json(image, *GROUND, "--no-accuracy")
     assert "ce90_m" not in told["fixes"][0]
     assert not any("err by" in one or "sigma:" in one for one in told["assumed"])
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("ending", [".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz"])
 def test_every_format_by_the_name_of_the_file(image: pathlib.Path, tmp_path: pathlib.Path, ending: str) -> None:
     output = tmp_path / f"fixes{ending}"
@@ -123,6 +126,7 @@ def test_level_ground_above_a_datum(image: pathlib.Path) -> None:
     assert level["fix_height_m"] == pytest.approx(300.0, abs=1e-3)
 
 
+@pytest.mark.costly
 def test_the_air_bends_lines_of_sight(image: pathlib.Path) -> None:
     straight, bent = (
         as_json(image, *GROUND, "--no-accuracy", *more)["fixes"][0]["slant_range_m"] for more in ([], ["--refraction"])
@@ -130,6 +134,7 @@ def test_the_air_bends_lines_of_sight(image: pathlib.Path) -> None:
     assert 0.0 < straight - bent < 0.1
 
 
+@pytest.mark.costly
 def test_no_fix_at_all_is_told_with_the_reason(image: pathlib.Path) -> None:
     far = image.with_name("far.JPG")
     write_image(far, packet(DJI | {"drone-dji:GpsLatitude": "+46.0", "drone-dji:GpsLongitude": "+8.0"}), make="DJI")

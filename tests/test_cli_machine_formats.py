@@ -70,6 +70,7 @@ FORMATS: dict[str, tuple[list[str], Callable[[str, int], None]]] = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("of", ["images", "shots"])
 def test_rows_on_a_terminal_are_whole(tmp_path: pathlib.Path, monkeypatch, form: str, of: str) -> None:

@@ -104,6 +104,7 @@ ADVICE = (
 )
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("advice", ADVICE, ids=[one.printed[:40] for one in ADVICE])
 def test_advice_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, advice: Advice) -> None:
     monkeypatch.chdir(tmp_path)

@@ -350,6 +350,7 @@ def inputs(tmp_path_factory) -> dict[str, pathlib.Path]:
     return found
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("arguments, words", MISTAKES, ids=[f"{k}-{one[0][0]}" for k, one in enumerate(MISTAKES)])
 def test_mistakes(inputs, monkeypatch, arguments: list[str], words: list[str]) -> None:
     folder = inputs["SCENE"].parent

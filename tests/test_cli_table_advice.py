@@ -68,6 +68,7 @@ def run(*words: str):
     return CliRunner().invoke(app, [*words])
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", FILES)
 def test_following_the_advice_leads_to_a_file_that_is_read(tmp_path: pathlib.Path, monkeypatch, name: str) -> None:
     """Each way out that is printed is taken as it is printed: it brings the next refusal, or a fix."""

@@ -94,11 +94,13 @@ def test_a_second_process_reads_the_programs_of_the_first(tmp_path: pathlib.Path
     assert again[2] > 0, "programs were compiled again"
 
 
+@pytest.mark.costly
 def test_no_programs_are_kept_if_the_variable_is_empty(tmp_path: pathlib.Path) -> None:
     assert _in_a_process(JAXGEO_CACHE_DIR="", HOME=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))[0] == "None"
     assert not any(tmp_path.rglob("*jaxlib*"))
 
 
+@pytest.mark.costly
 def test_a_folder_set_in_jax_is_left_as_it_is(tmp_path: pathlib.Path) -> None:
     own, other = tmp_path / "own", tmp_path / "other"
     own.mkdir()
@@ -155,6 +157,7 @@ def whole() -> Any:
     return jax.jit(jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL))(*_scene(), PIXELS, GROUND)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("count", [1, 7, 1024, 2500])
 def test_a_vmap_called_directly_is_one_program_for_all_counts(count: int, compiled: list[Any], whole: Any) -> None:
     ground = jaxgeo.ConstantHeight(jnp.asarray(600.0))
@@ -170,6 +173,7 @@ def test_a_vmap_called_directly_is_one_program_for_all_counts(count: int, compil
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7)
 
 
+@pytest.mark.costly
 def test_another_mapped_argument_is_another_program(compiled: list[Any]) -> None:
     heights = jaxgeo.ConstantHeight(jnp.full(3, 600.0))
     jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, 0))(*_scene(), PIXELS[:3], heights)
@@ -202,6 +206,7 @@ def test_a_vmap_of_a_vmap_and_derivatives_of_locate_within_one_are_of_the_usual_
     np.testing.assert_allclose(total, slopes, rtol=1e-9)
 
 
+@pytest.mark.costly
 def test_rows_of_any_argument_are_mapped_and_a_missing_fix_is_told() -> None:
     sensor, shot = _scene()
     heights = jnp.linspace(500.0, 900.0, 5)

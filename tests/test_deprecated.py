@@ -28,6 +28,7 @@ def test_an_old_name_warns_and_is_the_new_one(package: str, old: str, new: str) 
     assert old not in module.__all__
 
 
+@pytest.mark.costly
 def test_the_warning_points_to_the_line_that_uses_the_old_name() -> None:
     code = "from jaxgeo import coverage\ncoverage.point\n"  # a process of its own: here checks of types lie in between
     told = subprocess.run(
@@ -63,6 +64,7 @@ def test_shifts_seen_is_visible() -> None:
         assert shifts.seen == shifts.visible == 5
 
 
+@pytest.mark.costly
 def test_a_method_that_is_now_a_function_warns_and_calls_it() -> None:
     import numpy as np
 

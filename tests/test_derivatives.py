@@ -229,6 +229,7 @@ def test_nested_maps_and_maps_over_terrains():
         np.testing.assert_allclose(grid.ecef[k], alone(rays, dem).ecef, rtol=0, atol=5e-9)
 
 
+@pytest.mark.costly
 def test_a_gimbal_in_local_level_moves_the_hit_by_its_own_angles():
     """The body's attitude then only carries the lever arm."""
     rng = np.random.default_rng(3)
@@ -278,12 +279,14 @@ def gradient_at_range(over_terrain):  # noqa: F811
     return functools.partial(jax.jit(jax.grad(height, argnums=(0, 1, 2))), as_float)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("uv, distance", [((1e5, 1e5), 500.0), ((np.nan, 0.0), 500.0), ((2000.0, 1500.0), np.inf)])
 def test_the_gradient_at_a_range_is_finite_whatever_fails(gradient_at_range, uv, distance):
     gradient = gradient_at_range(np.array(uv), np.asarray(distance))
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_terrain_that_is_not_finite_is_told_and_poisons_no_gradient(bad):
     rays, posts = stack([FAILING["hits"]] * len(FAILING), len(FAILING)), jnp.asarray(rough(4))

@@ -124,11 +124,13 @@ WAYS = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("way", WAYS)
 def test_a_process_ends_wherever_the_signal_finds_it(way: str) -> None:
     assert stopped_while_busy(WAYS[way]) == (130, ["jaxgeo: interrupted"])
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", CODES)
 @pytest.mark.parametrize("way", ["Python", "C"])
 def test_exit_codes_are_those_of_a_shell(name: str, way: str) -> None:
@@ -245,6 +247,7 @@ def test_only_the_command_is_taken_for_it(
     assert _command.is_command() is is_command
 
 
+@pytest.mark.costly
 def test_a_program_that_imports_jaxgeo_keeps_its_signals() -> None:
     code = """
         import signal, threading

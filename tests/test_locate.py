@@ -163,6 +163,7 @@ def test_the_round_trip_holds_over_terrain_and_hidden_ground_is_told(over_terrai
     assert np.all(np.isfinite(hidden.uv))
 
 
+@pytest.mark.costly
 def test_a_point_behind_and_a_point_beside(over_terrain):
     sensor, shot, _ = over_terrain
     behind = jaxgeo.project(sensor, shot, Geodetic.from_degrees(lat=47.0, lon=10.9, height=4000.0))
@@ -254,6 +255,7 @@ def test_li_2023_table_2(row):
     np.testing.assert_allclose(east_north_up[:2], [east, north], rtol=0, atol=0.1)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", ["sphere", "WGS 84"])
 def test_derivatives_over_a_smooth_earth_follow_slant_range_and_incidence(name):
     """Along the track S / cos i and across it S per rad of pointing; tan i per m of height."""

@@ -132,6 +132,7 @@ def some_pixels(camera, count: int = 64) -> np.ndarray:
     return rng.uniform([-0.49, -0.49], [camera.width - 0.51, camera.height - 0.51], (count, 2))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name", [name if name == "sweep" else pytest.param(name, marks=pytest.mark.slow) for name in SCENES]
 )
@@ -298,6 +299,7 @@ def test_a_sweep_is_a_line_whose_frame_turns():
     np.testing.assert_allclose(back.uv, uv, rtol=0, atol=1e-6)
 
 
+@pytest.mark.costly
 def test_lines_of_a_steady_pushbroom_lie_as_far_apart_as_the_platform_flies():
     shot = Shot(Pose.from_degrees(lat=50.0, lon=8.0, height=1000.0))
     flight = Trajectory.steady(shot, velocity_ned=[60.0, 0.0, 0.0], after=3.0)
@@ -456,6 +458,7 @@ def test_the_sweep_as_one_frame_is_far_off():
     assert np.max(off) > 500.0
 
 
+@pytest.mark.costly
 def test_what_cannot_be_asked_is_refused():
     sensor, flight, _ = SCENES["rolling shutter"]
     level = ConstantHeight(0.0)

@@ -86,6 +86,7 @@ COMPILED = [
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name, kind", COMPILED)
 def test_an_observation_stands_for_sensor_shot_and_pixel(name: str, kind: str) -> None:
     function, rest, named = (OF_OBSERVATION | MORE)[name]
@@ -99,6 +100,7 @@ def vars_of(found: object) -> object:
     return vars(found) if dataclasses.is_dataclass(found) else found
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("kind", EXPOSURES)
 @pytest.mark.parametrize("name", OF_EXPOSURE)
 def test_an_exposure_stands_for_sensor_and_shot(name: str, kind: str) -> None:
@@ -107,6 +109,7 @@ def test_an_exposure_stands_for_sensor_and_shot(name: str, kind: str) -> None:
     same(function(exposure, *rest, **named), function(*parts, *rest, **named, **moment))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", AIMING)
 def test_an_exposure_is_pointed_as_its_shot(name: str) -> None:
     function, named = AIMING[name]
@@ -115,6 +118,7 @@ def test_an_exposure_is_pointed_as_its_shot(name: str) -> None:
         function(EXPOSURES["trajectory"][0], **named)
 
 
+@pytest.mark.costly
 def test_locate_and_project_are_inverse() -> None:
     exposure = EXPOSURES["shot in air"][0]
     fix = jaxgeo.locate(Observation(exposure, UV), GROUND)

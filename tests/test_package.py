@@ -68,6 +68,7 @@ def test_every_dependency_is_imported_and_every_import_is_one(pyproject: dict[st
     assert imported_in("jaxgeo") - ours == base.union(*of_extras.values())
 
 
+@pytest.mark.costly
 def test_tests_import_what_their_extra_brings(pyproject: dict[str, Any]) -> None:
     """And what `pytest.importorskip` asks for, where it is there."""
     project = pyproject["project"]

@@ -103,6 +103,7 @@ def test_records_come_first_then_axes_and_all_else_by_keyword(name) -> None:
     assert all(one.default is inspect.Parameter.empty for one in before), order
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("width", [COLUMN, PAGE])
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in DRAWINGS]
@@ -174,6 +175,7 @@ def assert_apart(ax: Axes) -> None:
         assert all(one[1] < other[0] + 1.0 for one, other in itertools.pairwise(spans)), spans
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("width", [COLUMN, PAGE])
 def test_all_conventions_fit_into_one_figure(width) -> None:
     figure = plot.conventions_figure(width)
@@ -183,6 +185,7 @@ def test_all_conventions_fit_into_one_figure(width) -> None:
     assert_whole(figure)
 
 
+@pytest.mark.costly
 def test_a_page_of_a_registration_is_whole() -> None:
     page = plot.registration_figure(
         drawn.registration(),

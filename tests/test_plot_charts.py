@@ -107,6 +107,7 @@ def test_areas_and_lines_of_one_kind_are_told_apart_in_grey(colours) -> None:
 # Linear against sampled.
 
 
+@pytest.mark.costly
 def test_a_comparison_shows_both_by_ellipse_and_circle(ax) -> None:
     one = compared()
     assert plot.error_cloud(one, ax) is ax

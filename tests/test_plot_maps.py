@@ -151,6 +151,7 @@ def rings(ax) -> list[np.ndarray]:
     return [path for one in ax.collections for path in one.get_segments() if len(path) > 2]
 
 
+@pytest.mark.costly
 def test_an_ellipse_on_the_map_has_its_true_size(ax) -> None:
     plot.ellipses_on_map(level(), ax, times=1.0)
     (ring,) = rings(ax)

@@ -79,6 +79,7 @@ def test_the_board_shows_both_in_turn(ax) -> None:
         plot.checkerboard(image(1.0), image(0.0).window(0, 0, (10, 10)), ax)
 
 
+@pytest.mark.costly
 def test_circles_have_the_radii_of_the_fixes(ax) -> None:
     direct, updated = a_fix(40.0), a_fix(10.0, degrees=0.5)
     plot.circles_on_map(image(1.0), image(0.5), direct, updated, ax)

@@ -57,6 +57,7 @@ def section(demo) -> Section:
     return section_under(*demo)
 
 
+@pytest.mark.costly
 def test_the_first_hit_is_the_fix(demo, section) -> None:
     fix = intersect(*demo)
     distance, height = section.hits[0]
@@ -69,6 +70,7 @@ def test_the_first_hit_is_the_fix(demo, section) -> None:
     assert np.interp(distance, section.distance, section.sight - section.ground) == pytest.approx(0.0, abs=0.5)
 
 
+@pytest.mark.costly
 def test_a_straight_line_bends_up_over_the_ellipsoid(demo) -> None:
     """From height h over a sphere of radius R, down by an angle a: (R + h) cos a / cos(a - d / R) - R at distance d."""
     level = like(demo[1], np.full(np.shape(demo[1].posts), LEVEL))

@@ -128,6 +128,7 @@ def test_pickles_give_the_same_bits(made: dict[str, Any], protocol: int) -> None
         assert jax.tree.structure(again) == jax.tree.structure(record), name
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "way",
     [copy.copy, copy.deepcopy, without_jax, lambda record: pickle.loads(cloudpickle.dumps(record))],
@@ -174,6 +175,7 @@ def loky(**how: Any) -> concurrent.futures.Executor:
     return LokyExecutor(1, **how)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "pool, way",
     [
@@ -206,6 +208,7 @@ def nobody_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("pool", [spawned, forkserver, loky])
 def test_new_workers_run_from_the_first_task(pool: Any, nobody_says: None) -> None:
     place = looks.pose().position
@@ -228,6 +231,7 @@ def test_a_process_of_its_own_and_a_pool_run_from_the_first_task(nobody_says: No
 COMPUTED, STATED = "it has computed in them", "the environment says so"
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "pool, why",
     [
@@ -301,6 +305,7 @@ FORKS = """
 """
 
 
+@pytest.mark.costly
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 def test_forked_processes_answer_alike_or_say_why_not() -> None:
     code = textwrap.dedent(FORKS)
@@ -341,6 +346,7 @@ FORKED_POOLS = """
 """
 
 
+@pytest.mark.costly
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 def test_forked_pools_say_why_not(project_root: pathlib.Path) -> None:
     code = textwrap.dedent(FORKED_POOLS.format(project=str(project_root)))
@@ -365,6 +371,7 @@ IN_32_BITS = """
 """
 
 
+@pytest.mark.costly
 def test_deserialised_leaves_are_whole_or_refused(tmp_path: pathlib.Path) -> None:
     file = tmp_path / "place.eqx"
     eqx.tree_serialise_leaves(file, jax.tree.map(jnp.asarray, looks.pose().position))

@@ -198,6 +198,7 @@ def test_without_the_extra_the_line_says_what_to_install(folder: pathlib.Path, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.costly
 def test_a_page_without_any_fix_is_written_and_the_code_says_so(tmp_path: pathlib.Path) -> None:
     image = tmp_path / "DJI_0042.JPG"
     write_image(image, packet(DJI), make="DJI")
@@ -208,6 +209,7 @@ def test_a_page_without_any_fix_is_written_and_the_code_says_so(tmp_path: pathli
     assert "No fix" in seen((tmp_path / "page.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.costly
 def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> None:
     """It has its status in words; no place, and nothing about how sure it is."""
     sensor, shot = level_sensor()
@@ -226,6 +228,7 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
     assert "CE90 " not in text.split("Definitions")[0]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "errors", [None, pytest.param(ERRORS, marks=pytest.mark.slow)], ids=["fixes alone", "with errors"]
 )

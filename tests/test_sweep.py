@@ -209,6 +209,7 @@ def other(height: Any, off_nadir: Any, ground: Any) -> Any:
     return {"range": height + off_nadir + ground.height}
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "change, words",
     [

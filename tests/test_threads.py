@@ -63,6 +63,7 @@ def located_and_sampled(terrain: Any, width: int, count: int) -> Callable[[int],
     return one
 
 
+@pytest.mark.costly
 def test_locate_and_sample_over_level_ground() -> None:
     one = located_and_sampled(ConstantHeight(600.0), 4001, 2000)
     found = at_once(one)
@@ -85,15 +86,15 @@ def test_elevation_models_and_geoids(tmp_path: pathlib.Path) -> None:
         for k in range(3)
     ]
     lat, lon = np.linspace(-80.0, 80.0, 500), np.linspace(-180.0, 360.0, 500)
-    before = list(warnings.filters)
 
     def one(number: int) -> Any:
         del number
         posts = [np.asarray(read_dem(path, vertical_datum=5773).posts) for path in paths]
         return posts, undulation(lat, lon)
 
-    found = at_once(one, 8)
-    assert_equal(found, one(0))
+    expected = one(0)  # what checks types, from the first call on, changes the filters then
+    before = list(warnings.filters)
+    assert_equal(at_once(one, 8), expected)
     assert warnings.filters == before
 
 

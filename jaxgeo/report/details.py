@@ -98,7 +98,8 @@ def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
     options: dict[str, Any] = {"sampling": Sampling(count=SAMPLES), "atmosphere": subject.atmosphere}
     checked = check_accuracy(sensor, shot, uv, terrain, model, probability=subject.probability, **options)
-    if not np.isfinite(np.asarray(checked.accuracy.propagation.cov_enu)).all():
+    linear = checked.accuracy.propagation
+    if linear is None or not np.isfinite(np.asarray(linear.cov_enu)).all():
         return detail._replace(
             checked=checked, unsure="The ground slope is undefined here, so errors cannot be propagated."
         )

@@ -231,10 +231,11 @@ def budget(propagation: Propagation | Accuracy, probability: ArrayLike | None = 
     terrain height: CE90 without it 11.06 m of 11.52 m
     """
     stated = propagation if isinstance(propagation, Accuracy) else None
-    if stated is not None:
-        propagation, probability = _propagation_of(stated, probability)
+    level: ArrayLike = 0.9 if probability is None else probability
+    if isinstance(propagation, Accuracy):
+        propagation, level = _propagation_of(propagation, probability)
     linear = Linear.of(propagation, "An error budget")
-    probability = check_probability(0.9 if probability is None else probability)
+    probability = check_probability(level)
     covs, others = _causes(linear)
     without = [float(circular_error(cov[:2, :2], probability, linear.bias_enu[:2])) for cov in others]
     error, slopes = error_and_slopes(linear, sigmas_of(linear.model), probability)

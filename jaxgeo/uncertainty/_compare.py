@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -22,12 +23,13 @@ from jaxgeo.uncertainty.linear import Propagation, propagate_linear
 from jaxgeo.uncertainty.method_selection import diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, Sampler
+from jaxgeo.uncertainty.sampled import Quantile, Sampled, Sampler, Wanted
 from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 from jaxgeo.uncertainty.slopes import Level
 
 FIGURES = (("CE50", 0.5), ("CE90", 0.9), ("LE90", 0.9), ("SE90", 0.9))
 SAMPLES = 100_000
+COUNTS = (400_000, 1_600_000)  # while a figure is undecided
 SAMPLING = Sampling()
 
 
@@ -116,13 +118,15 @@ def compare(
     """Compare linear propagation (facet, footprint, level ground), second order, sigma points and samples at one fix.
     Second order and sigma points are left out if a distribution has no fourth moment.
 
-    100 000 samples are drawn, or as `sampling` says, and kept. Other arguments and exceptions as for `sample`; `digits`
-    is the number of significant digits to compare, 1 to 6.
+    Samples are drawn until every figure is surely valid or not, 100 000 at least and 1 600 000 at most, or as many as
+    `sampling` says, and kept. Other arguments and exceptions as for `sample`; `digits` is the number of significant
+    digits to compare, 1 to 6.
     """
     if not 1 <= digits <= 6:
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
+    is_open = isinstance(sampling, Sampling) and sampling.count is None and sampling.half_width is None
     sampling = resolve_sampling(sampling, SAMPLES)
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
@@ -137,12 +141,15 @@ def compare(
     if model.finite_orders > 4.0:  # else their variance may be infinite
         methods["second order"] = second_moments(inputs, nominal, model)
         methods["sigma points"] = sampler.moments_of_sigma_points()
-    quantiles = _figures(drawn)
-    rows = []
-    for name, result in methods.items():
-        values = tuple(float(value) for value in _figures(result))
-        validity: tuple[str, ...] = tuple(map(_validity, values, quantiles, [digits] * len(values)))
-        rows.append(Row(name, values, validity))
+    values = {name: tuple(float(value) for value in _figures(result)) for name, result in methods.items()}
+    rows, quantiles = _rows(values, drawn, digits)
+    for count in COUNTS if is_open else ():
+        if not any("undecided" in row.validity for row in rows):
+            break
+        more = dataclasses.replace(sampling, count=count - drawn.count)
+        sampler = Sampler.of(inputs, nominal, model, search, more)
+        drawn = drawn.merge(sampler.draw(drawn.count, count - drawn.count, Wanted(keep=True), drawn.centre_enu))
+        rows, quantiles = _rows(values, drawn, digits)
     beyond = np.zeros(drawn.count, bool)
     if drawn.errors_enu is not None:
         ahead = np.asarray(nominal.direction_enu)[:2]
@@ -150,7 +157,16 @@ def compare(
         beyond = profile.jumped(np.nan_to_num(along))
     linear = {name: result for name, result in methods.items() if isinstance(result, Propagation)}
     jumped = float(beyond.mean())
-    return Comparison(nominal.fix, tuple(rows), quantiles, digits, jumped, drawn.failed, drawn, linear, beyond)
+    return Comparison(nominal.fix, rows, quantiles, digits, jumped, drawn.failed, drawn, linear, beyond)
+
+
+def _rows(
+    values: dict[str, tuple[float, ...]], drawn: Sampled, digits: int
+) -> tuple[tuple[Row, ...], tuple[Quantile, ...]]:
+    """(figures of each method with their validity, the samples' figures)."""
+    quantiles = _figures(drawn)
+    judged = {name: tuple(map(_validity, own, quantiles, [digits] * len(own))) for name, own in values.items()}
+    return tuple(Row(name, own, judged[name]) for name, own in values.items()), quantiles
 
 
 def _figures(result: Any) -> tuple[Any, ...]:

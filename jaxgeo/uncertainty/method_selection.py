@@ -38,6 +38,9 @@ FEW = 0.01  # probability: a larger share of lines of sight that jump or fail af
 SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the two to agree
 NO_FIX = -1  # in place of a `Method`, without a fix
 LEVEL = 0.9  # probability of the figures that are compared
+# 95 % of exact circular errors are within these logarithms of that by linear propagation (benchmarks/verdict.py).
+MARGIN, MARGIN_OF_SPREAD, SPREAD = 0.012, 0.55, 0.1
+MARGIN_OF_JUMPS, FEWEST_JUMPS = 0.2, 1e-6  # where lines of sight jump or fail with a probability
 GRAZING = 0.01  # sine of the angle between ray and surface
 SAME = 5e-4  # difference of two figures, of their size, that is not worth a word
 
@@ -170,6 +173,21 @@ def select_method(diagnostics: Diagnostics) -> Int[Array, ""]:
     footprint &= _agree(diagnostics.footprint_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
     code = jnp.where(calm & footprint, Method.footprint.value, Method.samples.value)
     return jnp.where(calm & facet, Method.facet.value, code)
+
+
+def relative_margin(diagnostics: Any) -> Any:
+    """Half the width of a 95 % interval of the circular error by linear propagation, as a difference of logarithms.
+
+    What facet and footprint differ by from the terrain profile tells how far from planar the ground is, and the
+    probability of lines of sight that jump how far from one slope. For fixes that are not sent to samples.
+    """
+    spread = jnp.maximum(
+        jnp.abs(jnp.log(diagnostics.facet / diagnostics.profile)),
+        jnp.abs(jnp.log(diagnostics.footprint / diagnostics.profile)),
+    )
+    spread = jnp.where(jnp.isfinite(spread), jnp.minimum(spread, SPREAD), SPREAD)
+    jumps = diagnostics.jumps + diagnostics.fails
+    return MARGIN + MARGIN_OF_SPREAD * spread + jnp.where(jumps > FEWEST_JUMPS, MARGIN_OF_JUMPS, 0.0)
 
 
 def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:

@@ -270,6 +270,7 @@ def words() -> Any:
     return said
 
 
+@pytest.mark.costly
 def test_no_control_and_no_navigation(words: Any) -> None:
     said = words(replace(simulated().block(), navigation=None, control=None))
     assert "position, orientation and scale of the whole block" in said
@@ -308,12 +309,14 @@ def test_control_of_two_points_leaves_a_turn(words: Any) -> None:
     assert "turn about" in said
 
 
+@pytest.mark.costly
 def test_positions_without_heights_and_a_free_focal_length(words: Any) -> None:
     of = simulated()
     said = words(of.block(control=None, sigma_position=[0.05, 0.05, np.inf]), tight(focal=Free()))
     assert "shift up" in said
 
 
+@pytest.mark.costly
 def test_shifts_of_all_strips_without_control(words: Any) -> None:
     said = words(simulated().block(control=None), tight(shift=Free()))
     assert "shift" in said
@@ -363,6 +366,7 @@ def test_resections_find_any_camera() -> None:
             np.testing.assert_allclose(found[1], R, rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.costly
 def test_points_that_come_to_lie_behind_their_cameras() -> None:
     truth = simulated()
     seen = truth.observations
@@ -381,6 +385,7 @@ def test_points_that_come_to_lie_behind_their_cameras() -> None:
     assert set(caught.value.rows) == set(rows)
 
 
+@pytest.mark.costly
 def test_a_point_whose_rays_are_parallel() -> None:
     of = simulated()
     block = of.block()

@@ -169,10 +169,12 @@ def rotation(*vector: float) -> np.ndarray:
     return small_turn(*vector)
 
 
+@pytest.mark.costly
 def test_it_is_dense_least_squares(adjusted: Adjustment) -> None:
     assert_is(adjusted, dense(adjusted))
 
 
+@pytest.mark.costly
 def test_calibration_is_dense_least_squares(calibrated: Adjustment) -> None:
     oracle = dense(calibrated)
     assert_is(calibrated, oracle)
@@ -304,6 +306,7 @@ def test_the_frame_does_not_matter(adjusted: Adjustment) -> None:
     assert found.sigma0 == pytest.approx(adjusted.sigma0, abs=1e-9)
 
 
+@pytest.mark.costly
 def test_the_unit_of_weight_does_not_matter(calibrated: Adjustment) -> None:
     of = simulated().noisy(1)
     seen = ImagePoints(of.observations.image, of.observations.point, of.observations.uv, 3.0 * of.observations.sigma)
@@ -458,6 +461,7 @@ def motions_of(adjustment: Adjustment) -> np.ndarray:
     return np.stack([np.concatenate([np.concatenate([c, t], axis=1).ravel(), p.ravel()]) for c, t, p in rows])
 
 
+@pytest.mark.costly
 def test_a_free_network_is_dense_least_squares_with_inner_constraints(free: Adjustment) -> None:
     constraints = motions_of(free)
     constraints[:, : len(free.columns)] = 0.0
@@ -467,6 +471,7 @@ def test_a_free_network_is_dense_least_squares_with_inner_constraints(free: Adju
     assert_is(free, oracle, within=1e-6)
 
 
+@pytest.mark.costly
 def test_no_datum_gives_points_less_spread(free: Adjustment) -> None:
     trace = np.trace(free.points.covariance.sum(axis=0))
     N, index = len(free.columns), {name: i for i, name in enumerate(free.points.name.tolist())}
@@ -494,6 +499,7 @@ def test_no_datum_gives_points_less_spread(free: Adjustment) -> None:
         )
 
 
+@pytest.mark.costly
 def test_points_of_a_free_network_stay_where_they_started(free: Adjustment) -> None:
     start = np.asarray(free.prepared.problem.start.points)[free.prepared.order.row_of_point]
     place = free.points.place
@@ -503,6 +509,7 @@ def test_points_of_a_free_network_stay_where_they_started(free: Adjustment) -> N
     assert np.sum(a * (b - a)) / np.sum(a * a) == pytest.approx(0.0, abs=1e-10)  # scale
 
 
+@pytest.mark.costly
 def test_a_network_that_is_free_to_turn_about_a_point_keeps_that_point() -> None:
     of = simulated().noisy(4)
     one = of.control(names=("p05",))

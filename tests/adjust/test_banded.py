@@ -39,6 +39,7 @@ from jaxgeo.adjust.problem import prepared
 STRIPS, EACH = 2, 14
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("slabs, m, s", [(1, 6, 2), (4, 3, 0), (5, 4, 3)])
 def test_factors_and_inverses_are_those_of_the_whole_matrix(slabs: int, m: int, s: int) -> None:
     matrix, whole = tridiagonal(slabs, m, s)

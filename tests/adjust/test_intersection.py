@@ -162,6 +162,7 @@ def test_exact_data_through_the_air(all_sites) -> None:
     assert np.linalg.norm(straight.p_ecef - p_ecef, axis=-1)[list(SITES).index("high")] > 20.0
 
 
+@pytest.mark.costly
 def test_order_and_padding_do_not_matter() -> None:
     uvs = np.asarray(UVS) + NOISE
     use = np.array([True, True, True, True, False, False])
@@ -182,6 +183,7 @@ def test_order_and_padding_do_not_matter() -> None:
     assert float(short.chi_square) == pytest.approx(float(found.chi_square), rel=1e-9)
 
 
+@pytest.mark.costly
 def test_two_rays_of_the_normal_case() -> None:
     """Two parallel plumb images on a base B: height errs by sqrt(2) sigma H^2 / (B f), the plane by
     sigma H / (f sqrt 2) (Kraus 2007, "Photogrammetry")."""
@@ -200,6 +202,7 @@ def test_two_rays_of_the_normal_case() -> None:
     np.testing.assert_allclose(found.cov_ecef, R @ np.asarray(found.cov_enu) @ R.T, atol=1e-12)
 
 
+@pytest.mark.costly
 def test_linear_equations_of_xue_meet_in_the_same_point() -> None:
     """l1 X + l2 Y + l3 Z - lx = 0 and the same for y, with lx = l1 Xs + l2 Ys + l3 Zs (Xue et al. 2019, Eq 2)."""
     uvs = np.asarray(images_of(PLAIN, SHOTS, POINT))
@@ -299,6 +302,7 @@ def test_fused_fixes_come_to_the_same(drawn) -> None:
     np.testing.assert_allclose(found.cov_enu, cov_enu, atol=1e-3 * float(np.trace(cov_enu)))
 
 
+@pytest.mark.costly
 def test_shots_in_common_share_their_errors() -> None:
     """Rays that are told to be of one shot have one attitude, which hardly counts in the plane where they look from all
     sides; but not in different flights."""
@@ -435,6 +439,7 @@ def test_a_gross_error_shows() -> None:
     assert float(found.sigma0) > 100.0
 
 
+@pytest.mark.costly
 def test_sensors_and_shots_may_come_as_lists() -> None:
     shots = [jax.tree.map(lambda x, k=k: x[k], SHOTS) for k in range(RAYS)]
     uvs = np.asarray(UVS)

@@ -64,6 +64,7 @@ def test_a_good_block_has_as_many_suspects_as_chance_lets_be(good: Adjustment) -
     assert np.std(found.standardised[checked]) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.costly
 def test_a_blunder_is_named_first_and_its_size_told(good: Adjustment) -> None:
     row = often_seen(good.block)
     block = with_blunder(good.block, row)
@@ -92,6 +93,7 @@ def test_without_the_blunder_the_block_is_as_good_as_ever(good: Adjustment) -> N
     assert cleaned.sigma0 == pytest.approx(good.sigma0, abs=0.02)
 
 
+@pytest.mark.costly
 def test_without_a_measurement_a_block_keeps_its_shape(good: Adjustment) -> None:
     keep = np.ones(len(good.block.observations), bool)
     keep[often_seen(good.block)] = False  # so nothing is compiled anew for what is left
@@ -119,6 +121,7 @@ def test_rows_of_several_blunders_are_those_of_the_block_given(good: Adjustment)
     assert all(b.point == block.observations.point[b.row] for b in out)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "loss", [Huber(), pytest.param(Cauchy(), marks=pytest.mark.slow), pytest.param(Tukey(), marks=pytest.mark.slow)]
 )

@@ -33,6 +33,7 @@ def named(block: Block, **options: Any) -> set[tuple[str, str, str]]:
     return {(one.kind, one.image, one.point) for one in screen(block, **options).aside}
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("metres, radians", [(0.0, 0.0), (1.0, 0.003), (3.0, 0.01), (10.0, 0.05)])
 @pytest.mark.parametrize("navigation", [True, False])
 def test_a_good_block_is_kept_whole_from_any_start(metres: float, radians: float, navigation: bool) -> None:
@@ -45,6 +46,7 @@ def test_a_good_block_is_kept_whole_from_any_start(metres: float, radians: float
         assert found.poor == (metres > 0.0)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("navigation", [True, False])
 @pytest.mark.parametrize("off", [[0.0, 60.0, 0.0], [0.0, 0.0, 500.0], [500_000.0, 0.0, 0.0], [4.5e5, 1.7e4, -1.6e4]])
 def test_one_control_point_that_is_off_is_named_with_its_shift(off: list[float], navigation: bool) -> None:

@@ -44,6 +44,7 @@ IMPATIENT = optx.LevenbergMarquardt(rtol=jnp.asarray(1e3), atol=jnp.asarray(1e3)
 NOISY = np.asarray(UVS) + NOISE
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("with_errors", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROWS)
 def test_an_intersection_by_any_solver_is_ours(name: str, with_errors: bool) -> None:
@@ -67,6 +68,7 @@ def test_an_intersection_through_the_air_by_a_solver_is_ours() -> None:
     np.testing.assert_allclose(found.p_ecef, ours.p_ecef, rtol=0, atol=1e-6)  # m
 
 
+@pytest.mark.costly
 def test_a_call_alone_is_its_lane_of_a_batch() -> None:
     uvs = jnp.asarray(NOISY)[None] + jnp.arange(float(len(SITES)))[:, None, None]
     shots = jax.tree.map(lambda x: jnp.stack([x] * len(SITES)), SHOTS)
@@ -86,6 +88,7 @@ def test_points_that_fail_have_the_same_status_by_a_solver() -> None:
     assert np.all(np.isnan(np.asarray(found.p_ecef)[~np.asarray(found.ok)]))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_derivatives_through_a_solver_are_those_of_differences(order: int) -> None:
     scales = jnp.array([1.0, 1e-4, 1.0])  # px, rad, m
@@ -107,6 +110,7 @@ def test_derivatives_through_a_solver_are_those_of_differences(order: int) -> No
     np.testing.assert_allclose(exact, differences, rtol=1e-5, atol=1e-6 if order == 1 else 1e-8)
 
 
+@pytest.mark.costly
 def test_a_solver_that_ends_off_the_minimum_has_not_converged() -> None:
     gross = NOISY + np.eye(RAYS, 2) * 2000.0
     assert forward_intersection(SENSOR, SHOTS, gross, sigma=0.5).ok
@@ -126,6 +130,7 @@ def test_a_resection_by_any_solver_is_ours(name: str) -> None:
     np.testing.assert_allclose(by_solver[1], R, rtol=0.0, atol=1e-8)
 
 
+@pytest.mark.costly
 def test_a_resection_whose_solver_cannot_converge_has_no_orientation() -> None:
     block, _ = alone()
     uv = block.observations.uv + np.random.default_rng(0).normal(0.0, 2.0, block.observations.uv.shape)

@@ -74,6 +74,7 @@ def assert_rigorous(found: Adjustment, right: Rigorous, within: float) -> None:
     assert right.left < 1e-3  # standard deviations: the iterations came to where the cost is least
 
 
+@pytest.mark.costly
 def test_the_weakest_control_under_the_best_pixels() -> None:
     found = adjust(on_control(1000.0, 0.01))
     assert_rigorous(found, by_triangles(found, CAMERA, 1000.0), 1e-9)
@@ -242,6 +243,7 @@ def test_points_of_images_that_are_fixed(pixels: float) -> None:
     np.testing.assert_allclose(found.points.sigma, again.points.sigma * pixels / 0.5, rtol=1e-6)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3, 1e6])
 def test_a_resection_is_the_same_in_any_unit(unit: float) -> None:
     block, count = alone()

@@ -44,6 +44,7 @@ def sensor() -> jaxgeo.Sensor:
     return survey(1, (SIDE, SIDE)).batches[0].sensor
 
 
+@pytest.mark.costly
 def test_it_is_located_by_chunks_when_it_is_computed(frames: Any, sensor: jaxgeo.Sensor) -> None:
     at_once = locate_dataset(frames, sensor, GROUND)
     lazily = locate_dataset(frames.chunk(frame=5), sensor, GROUND)
@@ -52,6 +53,7 @@ def test_it_is_located_by_chunks_when_it_is_computed(frames: Any, sensor: jaxgeo
     xarray.testing.assert_identical(lazily.compute(), at_once)
 
 
+@pytest.mark.costly
 def test_the_fixes_are_those_of_observations(frames: Any, sensor: jaxgeo.Sensor) -> None:
     found = locate_dataset(frames, sensor, GROUND)
     fixes = jaxgeo.io.locate_observations(survey(12, (SIDE, SIDE)), GROUND)

@@ -66,6 +66,7 @@ def table(folder: pathlib.Path, names: Sequence[str]) -> dict[str, list[Any]]:
     return {name: found[name].to_pylist() for name in found.column_names}
 
 
+@pytest.mark.costly
 def test_parts_hold_the_fixes_that_are_computed_at_once(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
     files = open_dem(tiles, vertical_datum="ellipsoid")
     run = locate_frames(tmp_path / "fixes", frames, files, rows=25)
@@ -86,6 +87,7 @@ def test_parts_hold_the_fixes_that_are_computed_at_once(tmp_path: pathlib.Path, 
     np.testing.assert_allclose(heights, np.asarray(fixes.position.height)[hits], rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.costly
 def test_frames_of_a_part_are_near_each_other(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
     run = locate_frames(tmp_path / "fixes", frames, open_dem(tiles, vertical_datum="ellipsoid"), rows=10)
     spread = []
@@ -98,6 +100,7 @@ def test_frames_of_a_part_are_near_each_other(tmp_path: pathlib.Path, frames: Ob
     assert np.mean(spread) < 0.7 * whole
 
 
+@pytest.mark.costly
 def test_what_was_read_before_changes_no_bit(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
     files = open_dem(tiles, vertical_datum="ellipsoid")
     locate_frames(tmp_path / "fresh", frames, files, rows=25)
@@ -134,6 +137,7 @@ def test_parts_have_one_schema_and_a_summary(tmp_path: pathlib.Path, with_unread
     assert len(geopandas.read_parquet(run.folder)) == 62  # of the files without an underscore
 
 
+@pytest.mark.costly
 def test_level_ground_of_its_own_for_each_frame(tmp_path: pathlib.Path, frames: Observations) -> None:
     heights = np.linspace(500.0, 700.0, 60)
     run = locate_frames(tmp_path / "fixes", frames, [jaxgeo.ConstantHeight(heights)], rows=11)
@@ -184,6 +188,7 @@ def test_a_damaged_part_is_computed_again(tmp_path: pathlib.Path, frames: Observ
     assert content(run.folder) == before
 
 
+@pytest.mark.costly
 def test_a_frame_that_is_refused_is_a_row_with_its_reason(tmp_path, frames: Observations, monkeypatch) -> None:
     """One beyond the pole, and one that the computation refuses; the others of their part are as without them."""
     (batch,) = frames.batches
@@ -211,6 +216,7 @@ def test_a_folder_that_only_a_killed_process_was_in_is_used(tmp_path: pathlib.Pa
     assert locate_frames(tmp_path, frames, GROUND).computed == 1
 
 
+@pytest.mark.costly
 def test_of_two_runs_at_once_one_is_refused(tmp_path: pathlib.Path, frames: Observations, monkeypatch) -> None:
     """The other made its list after this one had looked for it."""
     begin = jaxgeo.cluster.parts.Parts._begin
@@ -246,6 +252,7 @@ def test_heights_of_another_number_of_frames_are_refused(tmp_path: pathlib.Path,
         locate_frames(tmp_path, frames, [jaxgeo.ConstantHeight(np.full(4, 600.0))])
 
 
+@pytest.mark.costly
 def test_a_missing_tile_stops_only_its_parts(tmp_path: pathlib.Path, frames: Observations) -> None:
     tiles = write_tiles(tmp_path, down=1, across=3, posts=300)
     frames = survey(40, (9000.0, 27000.0), seed=3)
@@ -281,6 +288,7 @@ def test_ground_that_is_too_large_is_a_row_with_its_reason(frames: Observations,
     assert np.array_equal(widths.fixes.status[~too_large], usual.fixes.status[~too_large])
 
 
+@pytest.mark.costly
 def test_higher_ground_beside_the_rays_changes_nothing(tmp_path: pathlib.Path) -> None:
     """With its margin the window may hold the ridge, whose height oblique rays pass outside of the window."""
     tiles = write_tiles(tmp_path, down=1, across=1, posts=400, height_at=ridge_at)

@@ -100,6 +100,7 @@ def rasters_of(folder: pathlib.Path) -> dict[str, bytes]:
     return found
 
 
+@pytest.mark.costly
 def test_a_frame_without_an_orthophoto_tells_why(made: Made) -> None:
     assert made.run.computed == 4
     assert made.run.counts == {"hit": 2, "file_not_read": 1, "ray_misses_terrain": 1}
@@ -110,6 +111,7 @@ def test_a_frame_without_an_orthophoto_tells_why(made: Made) -> None:
     assert sorted(path.name for path in made.folder.glob("frame-*[0-9].tif")) == ["frame-00000.tif", "frame-00001.tif"]
 
 
+@pytest.mark.costly
 def test_cells_of_frames_are_those_of_the_first(made: Made) -> None:
     told = json.loads((made.folder / "_manifest.json").read_text(encoding="utf-8"))["identity"]
     assert told["crs"] == CRS
@@ -168,6 +170,7 @@ def test_the_catalogue_is_one_of_stac(made: Made) -> None:
         assert not items[row].get_assets()
 
 
+@pytest.mark.costly
 def test_only_missing_frames_are_computed(made: Made, tmp_path: pathlib.Path) -> None:
     """A frame whose file is gone, and one whose image has appeared; the others stay as they are."""
     folder = tmp_path / "copy"

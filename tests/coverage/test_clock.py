@@ -58,6 +58,7 @@ def test_several_images_may_fall_due_at_once_and_too_many_are_an_error():
         clock.record(time=40.5 * period, speed=200.0, slant_range=10_000.0)
 
 
+@pytest.mark.costly
 def test_a_scan_counts_as_a_loop_does_and_is_differentiable():
     times = jnp.linspace(0.0, 10.0, 41)
 

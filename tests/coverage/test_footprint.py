@@ -90,6 +90,7 @@ def test_area_at_nadir_is_that_of_the_square(height):
     assert outline.area > side**2
 
 
+@pytest.mark.costly
 def test_places_between_lie_within_the_tolerance():
     """On smooth ground at any place of the edge."""
     image, rng = shot(72.0, roll=3.0), np.random.default_rng(1)
@@ -237,6 +238,7 @@ def test_over_rough_ground_places_between_lie_within_the_tolerance():
     assert np.max(off) < 2.0
 
 
+@pytest.mark.costly
 def test_beyond_the_terrain_the_outline_is_not_whole():
     outline = footprint(SENSOR, dataclasses.replace(OVER_RIDGE, gimbal_readings=np.array([1.2, 0.0])), DEM)
     assert outline.status == Status.leaves_terrain
@@ -253,6 +255,7 @@ def test_beyond_the_terrain_the_outline_is_not_whole():
 SCALES = ("columns", "rows", "along", "across")
 
 
+@pytest.mark.costly
 def test_at_nadir_a_pixel_is_height_over_focal_length():
     found = ground_sample_distance(SENSOR, shot(), MIDDLE, GROUND)
     for name in SCALES:
@@ -260,6 +263,7 @@ def test_at_nadir_a_pixel_is_height_over_focal_length():
     assert float(found.area) == pytest.approx((HEIGHT / FOCAL) ** 2, rel=1e-9)
 
 
+@pytest.mark.costly
 def test_at_nadir_where_nothing_rounds_too():
     """On the equator the line of sight has no level part at all, so that along and across it have no direction."""
     found = ground_sample_distance(SENSOR, shot(lat=0.0, lon=0.0), MIDDLE, GROUND)
@@ -288,6 +292,7 @@ WAVES = HeightFunction(lambda place: 20.0 * jnp.sin(2e4 * place.lat), -20.0, 20.
 OVER = {"level": (GROUND, 50.0), "waves": (WAVES, 50.0), "rough": (DEM, None)}
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("terrain", ["level", *(pytest.param(x, marks=pytest.mark.slow) for x in ("rough", "waves"))])
 def test_a_pixel_s_size_is_that_of_differences(terrain):
     ground, outer = OVER[terrain]

@@ -98,6 +98,7 @@ def test_the_spread_of_overlaps_is_that_of_the_derivatives(flights, linear):
     np.testing.assert_allclose(np.asarray(flights.near).mean(axis=0), linear.margins[:5], rtol=0, atol=0.008)
 
 
+@pytest.mark.costly
 def test_neighbouring_attitudes_go_together():
     """The correlation of a process from image to image is exp(-period / lasting)."""
     only = FlightNoise.from_degrees(heading=0.01, lasting=2.0)
@@ -191,6 +192,7 @@ def test_the_margin_by_samples_is_that_by_derivatives():
     assert required_overlap(strip(), NOISE, free=0.95, key=KEY, flights=2048) == pytest.approx(linear, abs=0.015)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("size, correlation", [(1, 0.0), (3, 0.5), (6, 0.9), (10, -0.05)])
 def test_the_orthant_is_that_of_scipy(size, correlation):
     rng = np.random.default_rng(size)
@@ -207,6 +209,7 @@ def test_margins_that_go_in_lockstep_are_one():
     assert chance == pytest.approx(stats.norm.cdf(0.5), abs=1e-4)
 
 
+@pytest.mark.costly
 def test_each_number_has_its_spec():
     assert len(specs_of(strip())) == normals_of(strip())
     assert np.bincount(specs_of(strip())).tolist() == [6, 6, 6, 6, 6, 6, 12, 6]
@@ -232,6 +235,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes_are_told_in_words(name):
     mistake, words = MISTAKES[name]

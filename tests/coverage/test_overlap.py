@@ -162,6 +162,7 @@ def test_a_roll_agrees_with_eq_22() -> None:
     assert float(found.side) == pytest.approx(1.0 - 0.2 / 0.88, abs=0.02)
 
 
+@pytest.mark.costly
 def test_the_axis_along_the_flight_is_found() -> None:
     after = shot(STEP)
     given, found = shared(FIRST, after), overlap(SENSOR, FIRST, after, GROUND, stations=STATIONS)
@@ -292,6 +293,7 @@ def straight_down(north: float, roll: float, heading: float = 0.0) -> Shot:
     return Shot(pose, DOWN.gimbal.readings_from_degrees(outer=0.0, inner=0.0))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("roll, heading", [(0.0, 0.0), (0.3, 0.0), (2.0, 180.0)])
 def test_a_camera_that_looks_straight_down_may_roll_either_way(roll: float, heading: float) -> None:
     """Which end is the near one then changes from image to image, but not which end goes with which."""

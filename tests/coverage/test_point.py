@@ -152,6 +152,7 @@ def units(v: np.ndarray) -> np.ndarray:
 # What is pointed at is seen.
 
 
+@pytest.mark.costly
 @rows(SENSORS)
 def test_the_pixel_sees_what_it_is_pointed_at(name):
     """Straight through space: within 1e-9 rad, and on the ground within 1 mm, or nearer ground is in the way."""
@@ -290,6 +291,7 @@ def narrow_limits(gimbal: Gimbal, rng: np.random.Generator) -> np.ndarray:
     return np.stack([middle - half, middle + half], axis=-1)
 
 
+@pytest.mark.costly
 @rows(EVERY)
 def test_out_of_range_nothing_within_the_limits_comes_nearer(name):
     check_nearest(name, seed=7, lanes=16, nodes=101)
@@ -524,6 +526,7 @@ def compensated(sensor, before, after):
     return jax.vmap(one)(before, after)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("sensor", [BARE, HOLDING], ids=["bare", "held"])
 def test_compensation_keeps_the_line_of_sight_and_is_what_newton_finds(sensor):
     before, after = random_attitudes(seed=6)
@@ -533,6 +536,7 @@ def test_compensation_keeps_the_line_of_sight_and_is_what_newton_finds(sensor):
     np.testing.assert_allclose(found.readings, root, rtol=0, atol=1e-9)
 
 
+@pytest.mark.costly
 def test_compensation_is_the_exact_closed_form():
     before, after = random_attitudes(seed=6)
     found, wanted, _, _ = compensated(BARE, before, after)

@@ -96,6 +96,7 @@ def test_a_batch_by_any_solver_is_what_ours_finds(name, solver):
     assert_same(batch(EVERY[name], looks, SOLVERS[solver]), ours)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n != "two axes" else n for n in EVERY])
 def test_a_call_alone_is_its_lane_of_a_batch(name):
     looks = half_narrow(EVERY[name])
@@ -131,6 +132,7 @@ def test_through_the_air_and_behind_terrain_a_call_alone_is_its_lane():
 ALONG_AN_AXIS = {name: pytest.mark.slow if "pan and tilt" in name else () for name in SINGULAR}
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marks) for name, marks in ALONG_AN_AXIS.items()])
 def test_alone_too_an_axis_along_the_line_of_sight_stays_where_it_is(name):
     sensor, ned, start, expected = SINGULAR[name]
@@ -146,6 +148,7 @@ def test_alone_too_an_axis_along_the_line_of_sight_stays_where_it_is(name):
             np.testing.assert_allclose(found.readings, expected, rtol=0, atol=1e-8)
 
 
+@pytest.mark.costly
 def test_compensation_alone_is_that_of_a_batch():
     sensor, (before, after) = SENSORS["two axes"], random_attitudes(seed=6)
     many = compensated(sensor, before, after)[0]
@@ -230,6 +233,7 @@ CLOSE_BY = Geodetic.from_degrees(lat=47.0, lon=11.0001, height=26.0)
 LOOSE = {"rtol": jnp.asarray(1e3), "atol": jnp.asarray(1e3)}  # content after one step
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "call, solver",
     [
@@ -255,6 +259,7 @@ def test_what_is_no_solver_is_refused(solver):
         point_gimbal(LONG_ARM, LOW, target=CLOSE_BY, solver=solver)
 
 
+@pytest.mark.costly
 def test_batches_load_no_solver_that_nothing_asked_for():
     code = """
 import sys, jax, numpy as np, jaxgeo

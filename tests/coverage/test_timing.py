@@ -88,6 +88,7 @@ def test_velocity_over_height_keeps_the_overlap_over_a_plain(height: float | Non
     assert np.ptp(np.diff(found.times)) > 0.02
 
 
+@pytest.mark.costly
 def test_the_shared_ground_is_exact_over_a_plain() -> None:
     found = planned(GroundShared(jnp.asarray(WISHED), stations=STATIONS))
     np.testing.assert_allclose(found.overlaps.near, WISHED, rtol=0, atol=1e-6)
@@ -125,6 +126,7 @@ CRAWLS = flight(speed=1.0)
 LOOKS_UP = FLIGHT.with_readings(np.radians([89.9, 0.0]))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "timing, options, words",
     [
@@ -164,6 +166,7 @@ WIDE = li_2020_sensor(
 )
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("outer, inner", [(1.0, 0.0), (40.0, 0.0), (0.0, 30.0)])
 def test_wide_frames_are_timed_by_their_length_at_the_near_end(outer: float, inner: float) -> None:
     """Beside the middle of an image its angle of view is not that of the middle; nor does looking ahead leave it so."""
@@ -243,6 +246,7 @@ EARLY = [
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("along", ["rows", None])
 @pytest.mark.parametrize("timing, options, words", EARLY)
 def test_what_cannot_work_is_refused_before_anything_is_searched(

@@ -73,6 +73,7 @@ def test_a_point_that_was_not_found_stays_unknown() -> None:
     assert np.isnan(transform.frame_length_on_map(MAP, nowhere, PLACE))
 
 
+@pytest.mark.costly
 def test_derivatives_stay_finite_where_nothing_moves() -> None:
     def measures(lat: jax.Array, lon: jax.Array) -> jax.Array:
         there = Geodetic(lat=lat, lon=lon, height=PLACE.height)
@@ -144,6 +145,7 @@ def test_the_euclidean_step_folds(turned) -> None:
     assert euclidean[-1] < euclidean[-2] < 1.0 < projected[-2]
 
 
+@pytest.mark.costly
 def test_overlaps_differentiate_through_the_fix(turned) -> None:
     values, slopes = turned
     np.testing.assert_allclose(slopes[6], (values[8] - values[7]) / (CHANGES[8] - CHANGES[7]), rtol=1e-6)

@@ -141,6 +141,7 @@ def test_first_derivatives_are_the_radii_of_curvature():
     np.testing.assert_allclose(mixed[:, ~np.eye(3, dtype=bool)], 0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("ellipsoid", [WGS84, SPHERE, FLAT], ids=["wgs84", "sphere", "flattened"])
 def test_derivatives_equal_central_differences(ellipsoid):
     """First derivatives of normal and height, and second ones, one kilometre above ground all over the globe."""

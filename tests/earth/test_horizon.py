@@ -52,6 +52,7 @@ def test_an_eye_on_the_ground_sees_none_of_it_and_both_horizons_add_up():
         horizon(100.0, ground=200.0)
 
 
+@pytest.mark.costly
 def test_derivatives_equal_differences():
     def run(height):
         seen = horizon(height, atmosphere=AIR)

@@ -40,6 +40,7 @@ def sample(off_low, off_high, seed=0):
     return rng.uniform(-np.pi / 2, np.pi / 2, N), off, rng.uniform(-np.pi, np.pi, N)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", ELLIPSOIDS)
 @pytest.mark.parametrize("low, high", [(0, 1e-9), (0, 5), (5, 79), (79, 85)], ids=["nadir", "steep", "oblique", "flat"])
 def test_both_ends_lie_on_the_surface(name, low, high):
@@ -148,6 +149,7 @@ def hessian_and_gradient(x):
     return jax.jacfwd(twice, has_aux=True)(x)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("off_nadir", [0.3, 1.2, 1.45])
 def test_derivatives_of_the_range_equal_central_differences(off_nadir):
     x = np.array([0.6, off_nadir, 0.7, 0.9, 0.03])
@@ -164,6 +166,7 @@ def test_derivatives_of_the_range_equal_central_differences(off_nadir):
     np.testing.assert_allclose(hessian, curvature.T, rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.costly
 def test_derivatives_of_a_batch_with_misses_are_finite():
     """Straight down, tangent within the surface, above the horizon, straight up, and from the surface itself."""
     x = np.array([[0.5, off_nadir, 0.3, 0.9, 0.0] for off_nadir in (0.0, 1.5176, 1.6, np.pi, 1.0)])

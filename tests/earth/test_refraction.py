@@ -60,6 +60,7 @@ def level_ray(height: float, zenith: float) -> Ray:
     return Ray(jnp.array([RADIUS + height, 0.0, 0.0]), jnp.array([-np.cos(zenith), 0.0, np.sin(zenith)]))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("height, ground, given, shift", SHIFTS)
 def test_the_closed_form_follows_the_trace(height, ground, given, shift):
     """Within 0.6 %: over the ellipsoid and over the sphere, whose heights here differ from the air's by nothing."""

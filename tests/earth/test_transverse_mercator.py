@@ -214,6 +214,7 @@ def jacobian_and_maps(x):
 HESSIAN_JACOBIAN_AND_MAPS = jax.jit(jax.vmap(jax.jacfwd(jacobian_and_maps, has_aux=True)))
 
 
+@pytest.mark.costly
 def test_derivatives_are_finite_to_second_order_and_equal_differences():
     x = np.random.default_rng(6).uniform(-0.6, 0.6, (48, 2))
     x[: len(SPECIAL)] = SPECIAL

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bounds memory a
 MARK = pathlib.Path("/tmp/jaxgeo-was-here")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("attack", [pytest.param(one, id=one.name) for one in ATTACKS])
 def test_a_crafted_file_is_refused_in_a_line_or_read(attack: Attack, tmp_path: pathlib.Path) -> None:
     path = attack.build(tmp_path)

@@ -300,6 +300,7 @@ COMMANDS = (
 )
 
 
+@pytest.mark.costly
 @posix
 @pytest.mark.parametrize("command", COMMANDS)
 def test_so_are_they_by_every_option_of_the_commands(tmp_path: pathlib.Path, command: str) -> None:

@@ -60,6 +60,7 @@ def test_no_name_reaches_the_terminal_as_more_than_text(tmp_path: pathlib.Path, 
     assert not harmful(result.output), result.output
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("title", [name for name in NAMES if "\0" not in name])
 def test_a_title_of_a_scene_is_text(tmp_path: pathlib.Path, title: str) -> None:
     text = re.sub(r'title = ".*"', lambda _: f"title = {json.dumps(title)}", scene_file().read_text())

@@ -54,6 +54,7 @@ def test_a_dataset_holds_what_the_map_holds(found: AccuracyMap) -> None:
     assert told.attrs["probability"] == 0.8
 
 
+@pytest.mark.costly
 def test_codes_say_what_they_mean(found: AccuracyMap) -> None:
     told = accuracy_map_dataset(found)
     for name, expected in (("status", {int(s): s.name for s in Status}), ("trust", {int(t): t.name for t in Method})):
@@ -64,6 +65,7 @@ def test_codes_say_what_they_mean(found: AccuracyMap) -> None:
         assert expected.items() <= meanings.items()
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("raster, names", [(UTM, ("y", "x")), (DEGREES, ("lat", "lon"))])
 def test_on_a_map_it_names_its_crs_by_cf(tmp_path: pathlib.Path, found: AccuracyMap, raster, names) -> None:
     """Through a NetCDF and back."""

@@ -122,6 +122,7 @@ REFUSALS = [
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("datum, by_caller, message", REFUSALS)
 def test_the_refusal_recommends_nothing_that_loses_sign_or_unit(datum: str, by_caller: bool, message: str) -> None:
     stated = None if by_caller else pyproj.CRS(datum)

@@ -623,6 +623,7 @@ ZOOMS = {  # model, size, EXIF's focal length, digital zoom, focal length in pix
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("case", ZOOMS)
 @pytest.mark.parametrize("named", [False, True], ids=["by tags", "by name"])
 @pytest.mark.parametrize("scale", [1, 6], ids=["whole", "smaller copy"])

@@ -103,6 +103,7 @@ WRITERS: dict[str, Callable[[pathlib.Path], None]] = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: pathlib.Path, name: str, share: float) -> None:

@@ -110,6 +110,7 @@ REFUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("case", REFUSED)
 def test_wrong_files(table, case: str) -> None:
     content, words = REFUSED[case]

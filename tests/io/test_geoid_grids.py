@@ -68,6 +68,7 @@ GLOBAL = [  # every pair of the three is among them
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("west, repeated, kind", GLOBAL)
 def test_a_global_grid_is_read_alike_in_all_quadrants(
     tmp_path: pathlib.Path, west: float, repeated: bool, kind: str

@@ -137,6 +137,7 @@ def test_gigabytes_are_refused_by_their_length(tmp_path: pathlib.Path, ending: s
     refused(FILE_BYTES, path, read_bytes)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name, content, read, kind",
     [("c.toml", CAMERA_TOML, read_camera, SceneError), ("i.yaml", INTERIOR, read_orthority_cameras, TableError)],
@@ -279,6 +280,7 @@ def test_comments_are_counted(tmp_path: pathlib.Path) -> None:
     refused(COMMENT_LINES, path, read_image_points)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("digits", [20, 400, 10_000, 1_000_000])
 def test_integers_of_any_length_end_in_a_sentence(tmp_path: pathlib.Path, digits: int) -> None:
     long = "9" * digits

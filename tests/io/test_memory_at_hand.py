@@ -124,6 +124,7 @@ def test_memory_at_hand_is_the_least_of_what_the_limits_leave(
     assert memory.memory_at_hand() == 3_000_000 - 750_000
 
 
+@pytest.mark.costly
 @pytest.mark.skipif(sys.platform != "linux", reason="sets a limit as Linux has it")
 def test_a_limit_of_the_process_counts() -> None:
     code = "from jaxgeo.io._memory_at_hand import _of_process as left; print(left())"

@@ -81,6 +81,7 @@ def pixel_by_the_manual(p: np.ndarray) -> np.ndarray:
     return np.array([u, 0.5 * HEIGHT + TERMS["cy"] + yd * TERMS["f"]]) - 0.5
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("of_component", [False, True])
 def test_a_point_is_seen_where_metashape_projects_it(tmp_path: pathlib.Path, of_component: bool) -> None:
     transform, R_ecef_from_camera, centre = placed()

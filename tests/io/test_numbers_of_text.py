@@ -62,6 +62,7 @@ def test_every_reader_of_text_has_its_row() -> None:
     assert {reader.name for reader in READERS if reader.text} == set(PLACES) | NO_TEXT
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name, kind", CASES)
 def test_a_number_that_only_python_reads_is_refused(tmp_path: pathlib.Path, name: str, kind: str) -> None:
     reader = next(reader for reader in READERS if reader.name == name)
@@ -88,6 +89,7 @@ def test_every_finite_float_is_read_to_the_last_bit(value: float) -> None:
         assert number_in(text) == float(text)
 
 
+@pytest.mark.costly
 @given(st.text(max_size=12))
 def test_what_is_taken_is_ascii_and_python_takes_it_too(text: str) -> None:
     value = number_in(text)

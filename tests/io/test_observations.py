@@ -135,6 +135,7 @@ def test_pixels_outside_the_image_need_no_program(folder) -> None:
     assert np.isnan(fixes.slant_range).all()
 
 
+@pytest.mark.costly
 def test_parts_of_a_batch_are_the_whole(folder) -> None:
     pixels = np.stack([np.linspace(10.0, 2000.0, 1500), np.full(1500, 2000.0)], axis=-1)
     observed = read_observations("scene.toml", pixels)
@@ -160,6 +161,7 @@ def test_errors_are_of_the_file_then_usual_ones(folder) -> None:
     assert len(more.batches[0].sources) == len(batch.sources) + 1
 
 
+@pytest.mark.costly
 def test_accuracy_is_that_of_each_observation(folder) -> None:
     """In two batches of one form, so that one program is compiled; the last row comes first."""
     observed = read_observations(["broken.JPG", "DJI_0042.JPG"], PIXELS, **HOW)
@@ -238,6 +240,7 @@ def test_an_acquisition_in_memory_gives_the_same(folder) -> None:
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.costly
 def test_an_atmosphere_for_all(folder) -> None:
     observed = read_observations("scene.toml", [(1199.5, 2399.5)])
     assert observed.atmosphere is None
@@ -247,6 +250,7 @@ def test_an_atmosphere_for_all(folder) -> None:
     assert 0.1 < abs(float(straight.slant_range[0] - curved.slant_range[0])) < 100.0
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "paths, given, words",
     [

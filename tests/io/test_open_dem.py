@@ -37,6 +37,7 @@ from jaxgeo.io.sightlines import padded_rays
 pytestmark = pytest.mark.usefixtures("small_blocks")
 
 
+@pytest.mark.costly
 def test_only_the_corridor_is_read(ridge: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rays that cross the plain's middle ask nothing of the other tiles: neither their posts nor their bounds."""
     from jaxgeo.io import raster
@@ -56,6 +57,7 @@ def test_only_the_corridor_is_read(ridge: pathlib.Path, monkeypatch: pytest.Monk
     assert not files.blocks.is_read.all()
 
 
+@pytest.mark.costly
 def test_twenty_windows_compile_at_most_three_programs(ridge: pathlib.Path) -> None:
     rng = np.random.default_rng(5)
     files = open_dem(ridge / "shared", vertical_datum="ellipsoid")
@@ -91,6 +93,7 @@ def test_bounds_are_kept_for_the_next_run(ridge: pathlib.Path, tmp_path: pathlib
         open_dem(ridge / "shared", vertical_datum="ellipsoid", cache=cache)
 
 
+@pytest.mark.costly
 def test_a_stated_range_of_heights_spares_the_pass_and_is_checked(ridge: pathlib.Path, expected: Fix) -> None:
     posts, rays = ridge_before_plain(), mixed_rays()
     side = np.flatnonzero(expected.status == Status.leaves_terrain)[:4]

@@ -140,6 +140,7 @@ def test_heights_stretched_with_the_map_are_restored(table) -> None:
 SIGMA = np.array([[0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4], [0.1, 0.2, 0.3, 1e-3, 2e-3, 3e-3]])
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("crs", [None, "EPSG:2154", "EPSG:32631"])
 @pytest.mark.parametrize("datum", ["ellipsoid", "EPSG:5773"])
 def test_what_is_written_reads_back(table, tmp_path: pathlib.Path, crs: str | None, datum: str) -> None:

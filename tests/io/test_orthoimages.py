@@ -52,6 +52,7 @@ def ground(dtype: str = "uint8", bands: int = 3) -> tuple[np.ndarray, np.ndarray
     return values, random.uniform(size=SHAPE) < 0.8
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("raster", RASTERS.values(), ids=RASTERS)
 @pytest.mark.parametrize("dtype, bands, cog", [("uint8", 3, False), ("uint16", 4, True), ("float32", 1, False)])
 def test_what_was_written_is_read_back(tmp_path, raster: MapRaster, dtype: str, bands: int, cog: bool) -> None:
@@ -74,6 +75,7 @@ def test_what_was_written_is_read_back(tmp_path, raster: MapRaster, dtype: str, 
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", RASTERS)
 def test_cells_lie_where_proj_has_them(tmp_path, name: str) -> None:
     raster = RASTERS[name]
@@ -191,6 +193,7 @@ def above(heading: float = 30.0, height: float = 900.0, pitch: float = 0.0) -> S
     return Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=height, heading=heading, pitch=pitch))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("pitch", [0.0, 60.0])
 def test_the_sampling_of_an_image_in_its_middle(pitch: float) -> None:
     """A pixel's footprint on level ground is 1 / cos wide and 1 / cos^2 long: their root, about."""
@@ -198,6 +201,7 @@ def test_the_sampling_of_an_image_in_its_middle(pitch: float) -> None:
     assert found.metres == pytest.approx(2.0 / np.cos(np.deg2rad(pitch)) ** 1.5, rel=0.02)
 
 
+@pytest.mark.costly
 def test_an_image_file_becomes_an_orthoimage(tmp_path) -> None:
     row, col = np.indices((100, 120))
     write(tmp_path / "frame.tif", np.stack([2 * col, 2 * row]).astype(np.uint8))  # its map is passed over
@@ -225,6 +229,7 @@ def test_an_image_file_becomes_an_orthoimage(tmp_path) -> None:
     np.testing.assert_array_equal(read_orthoimage(tmp_path / "b.tif").values[0], image.values[1])
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "change, error, message",
     [

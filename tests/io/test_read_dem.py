@@ -157,6 +157,7 @@ def mapped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return path, grid, *read_dem_and_report(path, vertical_datum="ellipsoid")
 
 
+@pytest.mark.costly
 def test_every_map_is_followed(mapped) -> None:
     path, grid, dem, report = mapped
     print(report)
@@ -173,6 +174,7 @@ def test_every_map_is_followed(mapped) -> None:
     np.testing.assert_allclose(back, rowcol, rtol=0, atol=1e-8)
 
 
+@pytest.mark.costly
 def test_heights_between_posts_are_bilinear_on_every_map(mapped) -> None:
     _, _, dem, _ = mapped
     fraction = np.random.default_rng(2).uniform(size=(40, 2))
@@ -252,6 +254,7 @@ def test_a_global_file_is_cut_across_its_own_edge(tmp_path: pathlib.Path, west: 
     np.testing.assert_allclose(heights_at(dem, places(lon, np.full(4, 14.5))), expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("repeated", [0, 1])
 @pytest.mark.parametrize("west", [-180.0, 0.0])
 def test_a_grid_round_the_earth_is_read_as_a_whole_or_in_parts(

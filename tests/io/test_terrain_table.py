@@ -91,6 +91,7 @@ def named(row: tuple[Unit, float, str | int, str, str]) -> str:
 QUICK = 4  # of so many rows one is run always; all with --slow
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "row",
     [

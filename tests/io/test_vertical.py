@@ -50,6 +50,7 @@ def test_undulations_equal_those_of_proj(jaxgeo_test_data: pathlib.Path) -> None
     np.testing.assert_allclose(undulation(lat, lon + 360.0 * (lon < 0)), N, rtol=0, atol=1e-9)
 
 
+@pytest.mark.costly
 def test_the_packaged_grid_serves_plain_pyproj_in_a_fresh_process() -> None:
     lat, lon, height, expected = TIBET
     code = (

@@ -48,6 +48,7 @@ def stored(dtype: str, scale: float, unit: str | None) -> np.ndarray:
     return (steps if dtype.startswith("float") else np.round(steps)).astype(dtype)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("where", ["a block", "one post", "the edge"])
 @pytest.mark.parametrize("case", MARKS)
 def test_a_usual_mark_is_refused_and_read_as_void_once_it_is_said(

@@ -31,6 +31,7 @@ def written(tmp_path_factory):
         return found, data.read(), data.profile, data.descriptions, data.units, data.tags()
 
 
+@pytest.mark.costly
 def test_cells_lie_where_the_map_says(written) -> None:
     found, bands, profile, *_ = written
     assert profile["crs"].to_epsg() == 32632
@@ -43,6 +44,7 @@ def test_cells_lie_where_the_map_says(written) -> None:
     np.testing.assert_allclose(np.rad2deg(found.position.lat), lat, atol=1e-10)
 
 
+@pytest.mark.costly
 def test_bands_are_the_map(written) -> None:
     found, bands, profile, descriptions, units, _ = written
     assert descriptions == ("CE50, m", "LE50, m", "verdict", "status")

@@ -154,6 +154,7 @@ CASES = [
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("crs, heights, code, datum", CASES)
 @pytest.mark.parametrize("suffix", [".csv", *MAPS])
 def test_a_crs_and_its_heights(
@@ -302,6 +303,7 @@ def test_a_grid_that_is_missing_is_told_with_the_file(tmp_path, monkeypatch: pyt
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("suffix", MAPS)
 def test_the_date_line_cuts_an_ellipse_in_two(tmp_path: pathlib.Path, suffix: str) -> None:
     path = tmp_path / f"fixes{suffix}"
@@ -316,6 +318,7 @@ def test_the_date_line_cuts_an_ellipse_in_two(tmp_path: pathlib.Path, suffix: st
     assert read(path)[2][0].geom_type == "Polygon"
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("lat", [89.99999, -89.99999])
 def test_an_ellipse_around_a_pole(tmp_path: pathlib.Path, lat: float) -> None:
     path = tmp_path / "fixes.gpkg"
@@ -404,6 +407,7 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     assert len(read(path)[0]) == 2
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "suffix, written", [(".csv", "inf"), (".geojson", None), (".gpkg", np.inf), (".parquet", np.inf)]
 )

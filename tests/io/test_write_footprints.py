@@ -294,6 +294,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("suffix", DRIVERS)
 @pytest.mark.parametrize("change, error, message", WRONG, ids=[message[:30] for _, _, message in WRONG])
 def test_wrong_requests_leave_no_file(tmp_path, change: dict, error: type, message: str, suffix: str) -> None:

@@ -38,6 +38,7 @@ def write(path: pathlib.Path, **more) -> ET.Element:
     return ET.fromstring(document(path))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("suffix", [".kml", ".kmz", ".KML"])
 def test_points_stand_above_the_sea_and_a_lost_fix_has_no_place(tmp_path: pathlib.Path, suffix: str) -> None:
     root = write(tmp_path / f"fixes{suffix}")
@@ -92,6 +93,7 @@ def test_gdal_reads_points_areas_and_columns(tmp_path: pathlib.Path, suffix: str
     assert first.contains(shapely.Point(11.0, 47.0))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("suffix", [".kml", ".kmz"])
 def test_it_is_valid_by_the_schema(tmp_path: pathlib.Path, suffix: str) -> None:
     """Of fixes on the date line too, whose outline is in two parts."""

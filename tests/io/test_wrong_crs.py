@@ -58,6 +58,7 @@ ASKED: dict[str, Callable[[pathlib.Path, Any], Any]] = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("asked", [pytest.param(k, marks=() if k in FEW else pytest.mark.slow) for k in ASKED])
 def test_what_is_no_crs_is_refused_in_words(tmp_path: pathlib.Path, asked: str) -> None:
     (tmp_path / "opk.csv").write_text(OPK)

@@ -72,6 +72,7 @@ def check(name: str, path: pathlib.Path, texts: Iterable[str], fewest: int = 20)
 SLOW = ("reconstruction of OpenSfM", "exposures of Orthority")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in JSON])
 def test_json(tmp_path: pathlib.Path, name: str) -> None:
     check(name, tmp_path / f"a{READS[name].ending}", (json.dumps(one) for one in changed(JSON[name])))

@@ -80,6 +80,7 @@ def test_both_zones_are_as_their_own_posts_say(border: tuple[int, list[pathlib.P
         np.testing.assert_allclose(found, bilinear(lat, lon, lat0), rtol=0, atol=2e-7)  # 1e-9 m of slope times rounding
 
 
+@pytest.mark.costly
 def test_between_them_the_surface_joins_both_rows_without_a_step(border: tuple[int, list[pathlib.Path]]) -> None:
     north, files = border
     dem = read_dem(files, vertical_datum="ellipsoid")
@@ -102,6 +103,7 @@ def test_the_order_of_the_files_does_not_matter(border: tuple[int, list[pathlib.
     np.testing.assert_array_equal(one.void, other.void)
 
 
+@pytest.mark.costly
 def test_a_window_and_terrain_on_disk_are_the_same_ground(border: tuple[int, list[pathlib.Path]]) -> None:
     north, files = border
     whole = read_dem(files, vertical_datum=0)

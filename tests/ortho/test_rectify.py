@@ -173,6 +173,7 @@ GRIDS = {
 
 
 # One map compiles for every run; cells in a tangent plane are also those of most tests below.
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name == "transverse Mercator" else pytest.mark.slow) for name in GRIDS]
 )
@@ -221,6 +222,7 @@ LOOKS = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("name", LOOKS)
 def test_hidden_cells_are_those_that_a_search_of_every_line_of_sight_finds(name: str, seed: int) -> None:
@@ -234,6 +236,7 @@ def test_hidden_cells_are_those_that_a_search_of_every_line_of_sight_finds(name:
     assert np.any(found.status == missing.get(name, Status.hits_void))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 60), marks=pytest.mark.slow)])
 def test_slopes_prove_much_open_and_nothing_hidden_so(seeds: range) -> None:
     """Parts of tiles over the plain, or seen from above, are not searched; those with hidden ground always are."""
@@ -261,6 +264,7 @@ def test_slopes_prove_much_open_and_nothing_hidden_so(seeds: range) -> None:
     assert hidden > 8 * len(seeds)
 
 
+@pytest.mark.costly
 def test_tiles_of_any_size_give_the_same() -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(2, voids=True), cells_about()
     whole, parts = (rectify(sensor, shot(), PICTURES, terrain, grid, CELLS, tile=n) for n in (32, 16))
@@ -291,6 +295,7 @@ def picture(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 SMOOTH = [(Bilinear(), 0.25), (Cubic(), 0.03)]  # of the picture's second and third derivatives, about
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("how, atol", SMOOTH)
 def test_a_smooth_picture_comes_back(how: Any, atol: float) -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(), cells_about()
@@ -300,6 +305,7 @@ def test_a_smooth_picture_comes_back(how: Any, atol: float) -> None:
     np.testing.assert_allclose(found.orthoimage.values[0][inner], picture(u, v)[inner], rtol=0, atol=atol)
 
 
+@pytest.mark.costly
 def test_cubic_keeps_quadratics_and_nearest_classes() -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(), cells_about()
     u, v = PICTURES
@@ -333,6 +339,7 @@ def test_what_the_image_does_not_know_the_map_does_not() -> None:
         assert np.all(np.isfinite(found.orthoimage.values))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
 def test_dtypes_are_kept_and_whole_numbers_rounded(dtype: Any) -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(), cells_about()
@@ -405,6 +412,7 @@ def places(grid: AbstractGrid, rowcol: jax.Array) -> jax.Array:
     return jax.vmap(lambda one: surface_point(grid.normal(one)))(rowcol)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", GRIDS)
 def test_coarser_cells_lie_amid_their_squares(name: str) -> None:
     whole = Orthoimage.of(np.arange(99.0).reshape(9, 11), GRIDS[name][0]())

@@ -54,6 +54,7 @@ def planted(seed: int, share: float, side: int = 6) -> Planted:
     return Planted(Matches(centre, shift, score, cov, np.zeros(n, np.int8), searched), jacobian, right, error)
 
 
+@pytest.mark.costly
 @names
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_planted_set_is_found(choice: AbstractChoice, seed: int) -> None:
@@ -72,6 +73,7 @@ def test_the_planted_set_is_found(choice: AbstractChoice, seed: int) -> None:
     np.testing.assert_array_equal(again.peak, chosen.peak)
 
 
+@pytest.mark.costly
 @names
 def test_candidates_that_lie_anywhere_are_chance(choice: AbstractChoice) -> None:
     draws = [planted(seed, 0.0) for seed in range(10)]

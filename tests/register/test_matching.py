@@ -97,6 +97,7 @@ def test_blocks_reach_the_edges_and_lie_where_the_image_is_known() -> None:
     assert blocks_of(np.zeros((0, 60), bool), 30).shape == (0, 2)
 
 
+@pytest.mark.costly
 def test_the_shift_is_found_whatever_gain_and_offset() -> None:
     rectified, reference = pair(0)
     found = matched(rectified, reference)
@@ -109,6 +110,7 @@ def test_the_shift_is_found_whatever_gain_and_offset() -> None:
     np.testing.assert_allclose(other.score, found.score, atol=1e-12)
 
 
+@pytest.mark.costly
 def test_images_exchanged_give_the_opposite_shift() -> None:
     rectified, reference = pair(1)
     there, back = matched(rectified, reference), matched(reference, rectified)
@@ -140,6 +142,7 @@ def test_a_block_stands_for_its_known_cells() -> None:
     np.testing.assert_allclose(found.centre, [[60.0 - 0.5, 27.0]], atol=0.51)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("noise, blur", [(0.1, 0.0), (0.3, 0.0), (0.2, 1.0)])
 def test_covariances_are_honest(noise: float, blur: float) -> None:
     """Errors over predicted standard deviations, and bias, over shifts of all parts of a cell."""

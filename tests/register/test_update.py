@@ -144,6 +144,7 @@ def test_step_of_gu_is_that_of_least_squares():
     np.testing.assert_allclose(step, -np.linalg.lstsq(rows, values)[0], rtol=1e-10)
 
 
+@pytest.mark.costly
 def test_conditions_and_derivatives_give_one_covariance():
     """Eq 3 of Gu against the derivative of the fix."""
     model = ErrorModel((*navigation().sources, errors_of.TerrainHeight.from_metres(5.0)))
@@ -152,6 +153,7 @@ def test_conditions_and_derivatives_give_one_covariance():
     np.testing.assert_allclose(by_conditions, by_fix, rtol=0.0, atol=1e-12 * float(jnp.trace(by_fix)))
 
 
+@pytest.mark.costly
 def test_wrong_matches_count_little():
     rng = np.random.default_rng(5)
     enu = rng.normal(0.0, 3.0, (20, 2))
@@ -169,6 +171,7 @@ def test_wrong_matches_count_little():
     assert offset @ np.linalg.solve(cov, offset) < 13.8  # 99.9 %
 
 
+@pytest.mark.costly
 def test_map_shifted_as_a_whole():
     """It shifts the fix by as much; not knowing it adds its variance, which only the navigation can make less."""
     model, moved = navigation(1000.0, 1.0), jnp.asarray([30.0, -20.0])
@@ -189,6 +192,7 @@ def test_map_shifted_as_a_whole():
     np.testing.assert_allclose(horizontal(fixed(told), fixed(still)), 0.0, atol=0.2)
 
 
+@pytest.mark.costly
 def test_residuals_come_to_what_the_errors_say():
     """Squares of ties and prior have their means, in all and each."""
     model, tie_errors, keys = navigation(), TieErrors(registration=3.0, terrain=5.0, shift=4.0), range(20)

@@ -190,6 +190,7 @@ def slopes_by_coefficients(lens, vector, places):
     )
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", ALL)
 def test_coefficients_come_and_go_as_a_vector(name):
     lens = ALL[name]
@@ -216,6 +217,7 @@ def test_names_are_in_the_literatures_order():
     assert all(getattr(lens, name) == value for name, value in zip(lens.names, lens.coefficients(), strict=True))
 
 
+@pytest.mark.costly
 @LENSES
 def test_a_frame_camera_with_it_undoes_itself(kind):
     camera = FrameCamera.from_pixels(**IMAGE, distortion=random_lens(kind))
@@ -277,6 +279,7 @@ def test_a_lens_turned_inside_out_has_no_field():
     assert np.all(undistort(lens, points)[1] == Status.outside_distortion_field)
 
 
+@pytest.mark.costly
 def test_distorting_is_exact_for_corrections_of_a_tenth_of_the_image():
     """Points where the formula folds, or shrinks areas to less than a fifth, are left out."""
     rng = np.random.default_rng(6)

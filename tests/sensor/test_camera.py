@@ -136,6 +136,7 @@ def test_each_pixel_gets_its_status_and_no_plausible_ray():
     assert np.array_equal(np.all(np.isfinite(directions), axis=1), given)
 
 
+@pytest.mark.costly
 def test_failed_lanes_leave_the_gradient_of_a_masked_mean_finite():
     points, uv = np.array([p for p, _ in POINTS.values()]), np.array([p for p, _ in PIXELS.values()])
 

@@ -67,6 +67,7 @@ def test_it_is_opencvs_formula_in_opencvs_order():
     )
 
 
+@pytest.mark.costly
 @ROWS
 def test_inverse_and_formula_undo_each_other(name):
     distortion, radius = DISTORTIONS[name]
@@ -135,6 +136,7 @@ def test_no_point_in_the_field_of_a_random_lens_is_lost():
     np.testing.assert_allclose(back[sound], ideal[sound], rtol=0, atol=1e-12)
 
 
+@pytest.mark.costly
 @ROWS
 def test_what_is_not_finite_is_said_to_be_so(name):
     distortion, _ = DISTORTIONS[name]
@@ -174,6 +176,7 @@ def derivatives(lens, point, inverse):
     return derivatives_at_zero(f, flat.size, 3e-4)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
     [

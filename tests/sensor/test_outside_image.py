@@ -37,6 +37,7 @@ def shot(one: Sensor) -> Shot:
     return Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=720.0), readings)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("lens", LENSES)
 def test_a_pixel_outside_the_image_is_outside_it_whatever_the_lens(lens: str) -> None:
     one = camera(lens)
@@ -47,6 +48,7 @@ def test_a_pixel_outside_the_image_is_outside_it_whatever_the_lens(lens: str) ->
     assert np.all(np.asarray(rays(shutter, jnp.asarray(BESIDE))[1]) == Status.outside_image)
 
 
+@pytest.mark.costly
 def test_locate_and_its_batch_say_it() -> None:
     one = sensor("barrel")
     ground = ConstantHeight(600.0)
@@ -62,6 +64,7 @@ def test_with_throw_the_size_is_told_and_nothing_is_compiled(monkeypatch: pytest
         jaxgeo.locate(one, shot(one), BESIDE[3], ConstantHeight(600.0), throw=True)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("lens", LENSES)
 def test_a_point_far_beside_the_view_is_outside_the_image(lens: str) -> None:
     """From 120 m above, at up to 89 deg off the axis; with the barrel lens most of them lie beyond its fold."""

@@ -147,6 +147,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=pytest.mark.slow) if n in ("pixel without a ray", "out of reach") else n for n in MISTAKES],

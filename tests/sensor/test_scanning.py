@@ -46,6 +46,7 @@ def some_pixels(camera, count: int = 100) -> np.ndarray:
     return rng.uniform([-0.499, -0.499], [camera.width - 0.501, camera.height - 0.501], (count, 2))
 
 
+@pytest.mark.costly
 @ROWS
 def test_a_point_on_the_ray_of_a_pixel_is_seen_when_that_is_exposed(name):
     camera = CAMERAS[name]
@@ -68,6 +69,7 @@ def test_rows_are_exposed_one_after_another(name):
     np.testing.assert_allclose(last - first, abs(camera.line_time) * camera.height, rtol=1e-12)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
     [
@@ -128,6 +130,7 @@ def test_a_pushbroom_that_stands_still_has_no_rows():
         project(sensor, shot, Geodetic.from_degrees(lat=1.0, lon=2.0, height=0.0))
 
 
+@pytest.mark.costly
 @ROWS
 def test_statuses_off_the_image_and_off_all_numbers(name):
     camera = CAMERAS[name]

@@ -135,6 +135,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", BROKEN)
 def test_what_is_not_finite_is_said_to_be_so_and_stays_out_of_gradients(name):
     origin, direction, status = ray(*BROKEN[name])
@@ -173,6 +174,7 @@ def test_a_status_of_the_camera_is_the_status_of_the_ray():
     assert np.all(np.isnan(direction))
 
 
+@pytest.mark.costly
 def test_derivatives_of_the_ray_equal_differences_and_forward_equals_reverse():
     """In every number of sensor, shot and pixel, each in units of its own size (0.01 for those that are zero)."""
     sensor = eqx.tree_at(lambda sensor: sensor.camera, TWO_AXES, PINHOLE)

@@ -51,6 +51,7 @@ def point(north: float = 0.0, height: float = 1200.0) -> Geodetic:
     return Geodetic.from_degrees(lat=45.9 + north, lon=7.25, height=height)
 
 
+@pytest.mark.costly
 def test_a_steered_gimbal_follows_a_way_over_the_ground():
     way = jax.tree.map(lambda *x: jnp.stack(x), *(point(0.0025 * k) for k in range(9)))
     steered = point_trajectory(SENSOR, FLIGHT, way)
@@ -88,6 +89,7 @@ def test_a_sweep_is_pointed_by_its_middle_unless_a_pixel_is_named():
         assert off(sensor, shot, (500.0, 1500.0) if uv is None else uv, point()) < 1e-6
 
 
+@pytest.mark.costly
 def test_what_a_gimbal_cannot_follow_names_the_knot():
     climbing = jax.tree.map(lambda *x: jnp.stack(x), point(), *[point(height=6e4)] * 8)
     with pytest.raises(ValueError, match=r"At knot 1: The gimbal"):
@@ -124,6 +126,7 @@ XI, ETA = 25.0, -18.0  # arc seconds
 TILTED = Deflection.from_arcseconds(xi=XI, eta=ETA)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("reference", ["body", pytest.param("level", marks=pytest.mark.slow)])
 def test_a_deflected_vertical_moves_what_lies_below(reference):
     """A plumb line whose zenith leans north and east meets the ground south and west."""
@@ -140,6 +143,7 @@ def test_a_deflected_vertical_moves_what_lies_below(reference):
     np.testing.assert_allclose([north, east], expected, rtol=0, atol=2e-3)
 
 
+@pytest.mark.costly
 def test_the_deflection_is_a_least_rotation_and_its_derivative_is_exact():
     turn = rotation_vector_from_R(TILTED.R_ned_from_level)
     assert abs(float(turn[2])) < 1e-15  # none about the vertical: headings stay
@@ -158,6 +162,7 @@ def test_the_deflection_is_a_least_rotation_and_its_derivative_is_exact():
             Deflection.from_arcseconds(xi=wrong, eta=0.0)
 
 
+@pytest.mark.costly
 def test_a_trajectory_keeps_its_deflection():
     times = np.arange(9.0)
     heading = 0.2 + 0.05 * times

@@ -97,6 +97,7 @@ def given_rates(interval: float) -> dict:
     return {"velocity_ned": velocity, "body_rates": rates}
 
 
+@pytest.mark.costly
 def test_with_velocities_and_rates_it_is_of_fourth_order():
     coarse, fine = (errors(flown(interval, **given_rates(interval))) for interval in (1.0, 0.5))
     for k in (0, 1):
@@ -119,6 +120,7 @@ def test_velocity_and_rates_are_those_of_the_motion_and_have_no_steps():
     assert max(np.max(np.abs(step)) for step in steps) < 1e-6
 
 
+@pytest.mark.costly
 def test_a_steady_turn_is_exact():
     """About one axis at one rate, in intervals of 0.9 rad."""
     times = jnp.arange(9.0)
@@ -178,6 +180,7 @@ def test_derivatives_by_time_velocity_rates_and_every_knot_equal_differences():
     assert moving >= 2 * len(paths)  # the knots on both sides
 
 
+@pytest.mark.costly
 def test_before_and_after_there_is_nothing():
     trajectory, ground = flown(1.0), ConstantHeight(0.0)
 

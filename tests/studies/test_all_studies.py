@@ -22,6 +22,7 @@ def test_every_study_has_a_title_and_is_run() -> None:
     assert len(titles) == len(all_studies.RUNS)
 
 
+@pytest.mark.costly
 def test_claims_and_tables_pass_between_processes() -> None:
     claims = equations()
     study = all_studies.Study("li2023", "A title", claims, [claims_sheet(claims)], [pathlib.Path("a.png")])
@@ -30,12 +31,14 @@ def test_claims_and_tables_pass_between_processes() -> None:
     assert again.counts == study.counts
 
 
+@pytest.mark.costly
 def test_a_study_that_fails_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_studies_apart, "LONGEST_FIRST", ("nothing",))
     with pytest.raises(RuntimeError, match=r"(?s)study nothing ended with 1:.*No module named"):
         _studies_apart.found_apart(0, None)
 
 
+@pytest.mark.costly
 def test_a_study_ends_with_its_parent(tmp_path: pathlib.Path) -> None:
     """Its standard input is closed then."""
     words = [sys.executable, "-m", _studies_apart.MODULE, "gu2017", "0", str(tmp_path / "found.pickle")]

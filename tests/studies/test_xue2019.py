@@ -64,6 +64,7 @@ def check_recovered(found: xue2019.Cases) -> None:
     np.testing.assert_allclose(twice.sigma_boresight, once.sigma_boresight, rtol=0.05)
 
 
+@pytest.mark.costly
 def test_the_block_is_what_the_paper_says() -> None:
     block = xue2019.simulated(SMALL)
     assert (len(block.control), len(block.checks)) == (printed.CONTROL, printed.CHECKS)
@@ -89,6 +90,7 @@ def test_what_is_left_of_the_lens() -> None:
     assert 5.0 < 1e3 * f * np.abs(radial * np.sqrt(r2)).max() < 10.0  # um
 
 
+@pytest.mark.costly
 def test_a_seed_gives_the_same_noise_over_the_same_points() -> None:
     flight = xue2019.flown(SMALL)
     first, again, other = (xue2019.measured(flight, seed) for seed in (5, 5, 6))

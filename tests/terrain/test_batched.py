@@ -156,6 +156,7 @@ WITHOUT_JIT = {"alone", "on_an_explicit_mesh"}
 SLOW = set(WAYS) - {"alone"}  # each compiles for seconds
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in WAYS])
 def test_every_way_to_batch_gives_the_same_answers(name):
     dem = small_dem(rough(5))
@@ -181,6 +182,7 @@ def test_a_batch_of_terrains(way):
     assert_same(fix, both)
 
 
+@pytest.mark.costly
 def test_an_empty_batch_is_empty():
     fix = hit_all(jax.tree.map(lambda x: x[:0], RAYS), small_dem(rough(5)))
     assert fix.ecef.shape == (0, 3)

@@ -111,6 +111,7 @@ def test_a_caller_may_go_on_writing_to_the_array(offset):
 SHAPES = [(2, 2), (3, 17), (17, 3), (64, 64), (33, 50)]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "shape, kind",
     [(shape, "numpy") for shape in SHAPES]

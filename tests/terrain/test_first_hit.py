@@ -99,6 +99,7 @@ CASES = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", CASES)
 def test_status(name):
     posts, (east, north, height), (azimuth, elevation), expected = CASES[name]
@@ -111,6 +112,7 @@ def test_status(name):
     assert fix.ok[0] == (expected is Status.hit)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("elevation", [80.0, 20.0, 12.0])
 def test_a_camera_in_a_geostationary_orbit_sees_the_ground(elevation):
     """The origin lies far beyond where the grid's map means anything; the ground it sees does not."""

@@ -103,6 +103,7 @@ def test_both_ways_are_inverses(grid: AbstractGrid) -> None:
     np.testing.assert_allclose(back, PLACES, rtol=0, atol=1e-9)  # cells
 
 
+@pytest.mark.costly
 def test_cell_size_is_the_distance_between_neighbours(grid: AbstractGrid) -> None:
     centre = jnp.asarray(grid.rowcol0)
     around = centre[None] + jnp.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
@@ -111,6 +112,7 @@ def test_cell_size_is_the_distance_between_neighbours(grid: AbstractGrid) -> Non
     np.testing.assert_allclose(cell_sizes(grid), steps, rtol=1e-6)
 
 
+@pytest.mark.costly
 def test_derivatives_equal_differences(grid: AbstractGrid) -> None:
     normal, h = normals_at(grid, jnp.array([[100.2, 50.7]]))[0], 1e-5
     _, first, second = along(grid, normal, 0.0)

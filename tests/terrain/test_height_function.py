@@ -42,6 +42,7 @@ def fixes(rays):
 STEP = 0.25  # m
 
 
+@pytest.mark.costly
 def test_the_first_hit_is_that_of_a_dense_march(rays, fixes) -> None:
     """A march in NumPy at every quarter metre; a ridge that it passes between its places is lower than that allows."""
     found, status = np.asarray(fixes.slant_range), np.asarray(fixes.status)
@@ -61,6 +62,7 @@ def test_the_first_hit_is_that_of_a_dense_march(rays, fixes) -> None:
     assert times > 20
 
 
+@pytest.mark.costly
 def test_a_hit_lies_on_the_ray_and_on_the_ground(rays, fixes) -> None:
     ok = np.asarray(fixes.ok)
     off = np.asarray(fixes.position.height - jax.vmap(GROUND.height_at)(fixes.position))
@@ -69,6 +71,7 @@ def test_a_hit_lies_on_the_ray_and_on_the_ground(rays, fixes) -> None:
     np.testing.assert_allclose(np.asarray(fixes.ecef - along)[ok], 0.0, rtol=0, atol=1e-8)
 
 
+@pytest.mark.costly
 def test_without_a_slope_a_crossing_is_found_but_not_always_the_first(rays, fixes) -> None:
     other = met(rays, terrain(SHAPE, with_slope=False))
     both = np.asarray(fixes.ok & other.ok)
@@ -120,6 +123,7 @@ def hit_of(x):
 ZERO, STEPS = jnp.zeros(14), np.array([1e-2] * 3 + [1e-5] * 3 + [1e-4] * 8)
 
 
+@pytest.mark.costly
 def test_derivatives_of_a_hit_are_those_of_differences() -> None:
     """By the ray and by the parameters of the function, forward and in reverse."""
     moves = jnp.asarray(np.diag(STEPS))
@@ -180,6 +184,7 @@ TOLD = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("case", TOLD)
 @pytest.mark.parametrize("with_slope", [True, False])
 def test_what_is_told(case: str, with_slope: bool) -> None:
@@ -194,6 +199,7 @@ def test_what_is_told(case: str, with_slope: bool) -> None:
         assert float(fix.position.lon) == pytest.approx(np.deg2rad(11.01), abs=2e-9)  # 1 cm
 
 
+@pytest.mark.costly
 def test_gradients_are_finite_whatever_is_told() -> None:
     rays = stack([local_ray(0.0, 0.0, 600.0, azimuth=90.0, elevation=e) for e in (-45.0, -15.0, -3.0, 0.0, 20.0)])
 
@@ -210,6 +216,7 @@ def test_gradients_are_finite_whatever_is_told() -> None:
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(by_rays))
 
 
+@pytest.mark.costly
 def test_a_parameter_that_is_no_number_is_invalid_input() -> None:
     ray = local_ray(0.0, 0.0, 900.0)
     broken = eqx.tree_at(lambda s: s.phase, SHAPE, SHAPE.phase.at[2].set(jnp.nan))
@@ -228,6 +235,7 @@ def test_a_bias_raises_the_ground(rays, fixes) -> None:
         GROUND.with_field(LineField(jnp.zeros(3), jnp.zeros(2), jnp.ones(2)))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("air", [None, pytest.param(jaxgeo.Atmosphere(), marks=pytest.mark.slow)])
 def test_a_function_that_is_level_is_level_ground(air) -> None:
     level = HeightFunction(lambda position: 250.0 + 0.0 * position.lat, 250.0, 250.0, lipschitz=0.0)
@@ -320,6 +328,7 @@ def test_the_steepest_rise_of_the_test_s_own_hills_is_a_bound() -> None:
     assert 0.4 * steepest(SHAPE) < np.max(rise) < steepest(SHAPE)
 
 
+@pytest.mark.costly
 def test_parameters_are_what_jax_can_trace_and_the_rest_is_compiled_in() -> None:
     class Steps(eqx.Module):
         levels: np.ndarray
@@ -354,6 +363,7 @@ def wall(position: Geodetic):
     return 300.0 + 60.0 * jnp.exp(-((metres / 0.2) ** 2))
 
 
+@pytest.mark.costly
 def test_a_thin_wall_is_found_by_its_slope_and_may_be_passed_without() -> None:
     """From 500 m, at 5 degrees below the horizon, it is met at half its height; the ground some 300 m behind it."""
     ray = local_ray(0.0, 0.0, 505.0, azimuth=90.0, elevation=-5.0)

@@ -42,6 +42,7 @@ def begins(terrain: Any, above: float) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(found[0]), np.asarray(found[1])
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", TERRAINS)
 def test_up_rays_rise_and_down_rays_meet_the_ground_at_zero(name: str) -> None:
     terrain = TERRAINS[name]
@@ -53,6 +54,7 @@ def test_up_rays_rise_and_down_rays_meet_the_ground_at_zero(name: str) -> None:
     np.testing.assert_allclose(falling.ecef, origin, rtol=0, atol=1e-7)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", TERRAINS)
 def test_a_millimetre_is_told_from_the_ground(name: str) -> None:
     terrain = TERRAINS[name]

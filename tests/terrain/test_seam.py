@@ -99,6 +99,7 @@ def test_what_rays_meet_by_the_ends_of_a_grid_and_opposite_to_it_is_that_of_a_ma
             assert counts["hit"] > 0.4 * RAYS
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "west, repeated, point",
     [(-180.0, 0, False), *(pytest.param(*row, marks=pytest.mark.slow) for row in ((0.0, 1, True), (-180.0, 1, True)))],

@@ -100,6 +100,7 @@ def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(many: Acc
     assert str(none[0, 0]).startswith("No fix")
 
 
+@pytest.mark.costly
 def test_without_samples_one_fix_is_a_function_for_jit_vmap_and_derivatives(one: Accuracy) -> None:
     sensor, shot, uv, terrain, errors = SCENE
     along = np.array([1.0, 0.0])  # px
@@ -153,6 +154,7 @@ def test_observations_with_a_leading_axis_are_many_exposures(one: Accuracy) -> N
         assert each[1].because == one.because
 
 
+@pytest.mark.costly
 def test_a_fix_that_is_missing_is_raised_for_one_and_told_of_many() -> None:
     sensor, _, _, terrain, errors = SCENE
     away = looks.level_shot(120.0)
@@ -196,6 +198,7 @@ def test_old_functions_warn_and_give_the_record(one: Accuracy, many: Accuracy) -
 # Options of sampling.
 
 
+@pytest.mark.costly
 def test_separate_options_warn_and_both_are_refused(one: Accuracy) -> None:
     with pytest.warns(DeprecationWarning, match=r"accuracy: give sampling=Sampling\(count=\.\.\., key=\.\.\.\)"):
         found = accuracy(*SCENE, count=100, key=jax.random.key(2))
@@ -219,6 +222,7 @@ def test_an_option_left_out_is_the_default_of_the_function() -> None:
         options.count = 3
 
 
+@pytest.mark.costly
 def test_sampling_and_separate_options_draw_the_same() -> None:
     key = jax.random.key(5)
     here = sample(*SCENE, key=key, count=64)

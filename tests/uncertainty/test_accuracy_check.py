@@ -37,6 +37,7 @@ def test_a_share_has_the_interval_of_clopper_and_pearson(inside: int, confidence
     np.testing.assert_allclose(found, (inside / 100.0, *expected), rtol=1e-9, atol=1e-12)  # it solves, to 1e-12
 
 
+@pytest.mark.costly
 def test_the_share_within_a_quantile_is_its_probability(checked: AccuracyCheck) -> None:
     for figure in ("CE", "LE", "SE"):
         for probability in (0.1, 0.5, 0.9):
@@ -81,6 +82,7 @@ def test_a_share_that_cannot_be_told_is_refused(checked: AccuracyCheck) -> None:
         AccuracyCheck(checked.sampled, checked.sampled)  # pyright: ignore
 
 
+@pytest.mark.costly
 def test_the_budget_of_an_accuracy_ends_at_its_number(checked: AccuracyCheck) -> None:
     """Every circular error is scaled like the whole; shares of the variance stay."""
     accuracy = checked.accuracy
@@ -129,7 +131,7 @@ def test_samples_on_other_ground_are_those_of_the_comparison() -> None:
     assert one.jumped == other.jumped
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_everything_prints_the_same_number_for_the_fix_of_the_demonstration(tmp_path: pathlib.Path) -> None:
     """The demonstration, its budget, one and many fixes, `jaxgeo locate` and the report."""
     from typer.testing import CliRunner

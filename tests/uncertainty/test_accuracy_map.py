@@ -52,6 +52,7 @@ def level():
     return accuracy_map(LEVEL_SENSOR, LEVEL_SHOT, LEVEL, LEVEL_MODEL, positions(), block=4)
 
 
+@pytest.mark.costly
 def test_a_map_keeps_its_figures_by_name(level) -> None:
     for name in (*FIGURES, "method", "failed", "count", "shape"):
         np.testing.assert_array_equal(getattr(level, name), getattr(level.accuracy, name))
@@ -59,6 +60,7 @@ def test_a_map_keeps_its_figures_by_name(level) -> None:
     np.testing.assert_array_equal(level.status, level.accuracy.fix.status)
 
 
+@pytest.mark.costly
 def test_a_place_has_the_figures_of_its_pixel_alone(level) -> None:
     seen = np.argwhere(np.asarray(level.has_fix))
     assert 8 < len(seen) < LAT.size
@@ -84,6 +86,7 @@ def test_what_lies_beside_the_image_has_no_figures(level) -> None:
     assert Status.outside_image.message in said
 
 
+@pytest.mark.costly
 def test_pixels_have_the_figures_of_their_ground(level) -> None:
     uv = np.where(np.asarray(level.has_fix)[..., None], level.uv, -100.0)
     pixels = accuracy(LEVEL_SENSOR, LEVEL_SHOT, uv, LEVEL, LEVEL_MODEL, block=4)
@@ -240,6 +243,7 @@ def test_requests_that_make_no_sense(change: dict, message: str) -> None:
         accuracy_map(**given)
 
 
+@pytest.mark.costly
 def test_pixels_need_a_shot_and_two_numbers() -> None:
     with pytest.raises(TypeError, match="Pose"):
         accuracy(SENSOR, POSE, [(1.0, 2.0)], LEVEL, MODEL)

@@ -67,6 +67,7 @@ def of_each() -> Accuracy:
     return accuracy(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0), sampling=None)
 
 
+@pytest.mark.costly
 def test_what_is_of_each_is_of_each(of_each: Accuracy) -> None:
     """Ground, errors and sensors of each: twice the errors, twice the deviations; higher ground, less of them."""
     np.testing.assert_allclose(of_each.cov_enu[1], 4.0 * np.asarray(of_each.cov_enu[0]), rtol=1e-6, atol=1e-6)
@@ -76,6 +77,7 @@ def test_what_is_of_each_is_of_each(of_each: Accuracy) -> None:
     assert (np.asarray(of_each.method[:3]) == Method.facet).all()
 
 
+@pytest.mark.costly
 def test_samples_that_are_not_drawn_leave_no_figures(of_each: Accuracy) -> None:
     assert int(of_each.method[3]) == Method.samples
     assert np.isnan(of_each.circular[3])

@@ -138,6 +138,7 @@ def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(
     assert words in explain_method(diagnostics, method)
 
 
+@pytest.mark.costly
 def test_a_plumb_line_finds_the_heights_of_any_terrain() -> None:
     north = np.array([-611.0, -40.0, 0.0, 7.0, 815.0])
     lat = np.rad2deg(CENTRE.lat) + north / (math.radians(1.0) * 6.367e6)

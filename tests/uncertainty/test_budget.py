@@ -147,6 +147,7 @@ def test_with_sigmas_reaches_into_blocks():
     np.testing.assert_array_equal(doubled.sources[2].parts[1].sigma, [8.0, 4.0])
 
 
+@pytest.mark.costly
 def test_mistakes_are_named(look):
     with pytest.raises(ValueError, match="rises_away: The ray"):
         budget(propagated(some_errors(), outer=120.0))

@@ -46,6 +46,7 @@ def along_a_line(look):
     return eqx.tree_at(lambda p: (p.jacobian, p.model, p.cov_enu), look, (jacobian, model, cov)), slopes
 
 
+@pytest.mark.costly
 def test_a_design_meets_its_target_for_less_than_equal_scaling(look, today):
     result = design(look, target=0.4 * today, cost=InverseCost(WEIGHTS))
     assert result.outcome is Outcome.optimal
@@ -58,6 +59,7 @@ def test_a_design_meets_its_target_for_less_than_equal_scaling(look, today):
     np.testing.assert_allclose(sigmas_of(result.model), result.sigmas)
 
 
+@pytest.mark.costly
 def test_errors_along_a_line_have_a_closed_form(along_a_line):
     """Of sum w s0/s with sum (a s)^2 held, Lagrange gives s^3 as w s0/a^2."""
     propagation, slopes = along_a_line

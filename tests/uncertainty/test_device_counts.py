@@ -36,6 +36,7 @@ def drawn(seed: int) -> Drawn:
     return Drawn(jnp.zeros((DEVICES, 4, 4)), tuple(jnp.asarray(x) for x in radii), jnp.asarray(statuses), None)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("groups", [1, 16])
 def test_counts_of_parts_are_those_of_the_host(groups: int) -> None:
     size: Any = Size(CAPACITY, (None,) * DEVICES, True, BLOCK)

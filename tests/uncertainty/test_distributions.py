@@ -96,6 +96,7 @@ def test_skewness_and_kurtosis_are_those_of_scipy(name: str) -> None:
     assert float(ours.kurtosis) == pytest.approx(float(excess) + 3.0, rel=1e3 * accuracy)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", [name for name, row in TABLE.items() if row.ours.finite_orders > 4.0])
 def test_mean_variance_and_moments_are_those_of_the_quantiles(name: str) -> None:
     ours = TABLE[name].ours
@@ -109,6 +110,7 @@ def test_mean_variance_and_moments_are_those_of_the_quantiles(name: str) -> None
     )  # its tail ends at 8.4 sigma
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", ["outliers", "biased outliers"])
 def test_quantiles_of_mixtures_have_their_probability(name: str) -> None:
     ours: Any = TABLE[name].ours
@@ -123,6 +125,7 @@ def test_quantiles_of_mixtures_have_their_probability(name: str) -> None:
     np.testing.assert_allclose(above[NORMAL > 0.0], scipy.stats.norm.sf(NORMAL[NORMAL > 0.0]), rtol=1e-9)
 
 
+@pytest.mark.costly
 def test_the_table_of_a_mixture_is_close_to_it() -> None:
     for times, accuracy in ((10.0, 1e-9), (100.0, 2e-5)):
         ours = Mixture.of_outliers(share=0.01, times=times)
@@ -139,6 +142,7 @@ def test_residuals_have_the_distribution_of_the_supplement() -> None:
     assert float(found.mean + found.standard_deviation * found.quantile(0.4)) == pytest.approx(0.2, abs=1e-12)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", list(TABLE))
 def test_quantiles_increase_and_have_their_derivative(name: str) -> None:
     ours = TABLE[name].ours
@@ -151,6 +155,7 @@ def test_quantiles_increase_and_have_their_derivative(name: str) -> None:
     assert np.all(np.diff(values(ours, np.linspace(-8.0, 8.0, 4001))) >= -1e-14)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "of_parameter, at",
     [
@@ -171,6 +176,7 @@ def test_derivatives_by_parameters_are_differences(of_parameter: Any, at: float)
     np.testing.assert_allclose(jax.jacrev(value)(jnp.asarray(at)), quotient, atol=1e-7)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", ["uniform", "t5", "outliers", "residuals"])
 def test_copies_and_pickles_are_the_same(name: str) -> None:
     ours = TABLE[name].ours
@@ -266,6 +272,7 @@ def test_correlations_of_normal_numbers_are_the_known_ones() -> None:
         assert float(low[0, 1]) == pytest.approx(-1.0, abs=1e-9)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "one, other, r", [(Arcsine(), Laplace(), 0.6), (TABLE["outliers"].ours, TABLE["outliers"].ours, 0.9)]
 )
@@ -309,6 +316,7 @@ def _distance(values: np.ndarray, cdf: Any) -> float:
     return float(result.statistic)
 
 
+@pytest.mark.costly
 def test_distributions_are_kept_under_correlation() -> None:
     errors = drawn_block()[1]
     limit = 3.0 / math.sqrt(len(errors))  # Kolmogorov's distance of independent draws is beyond this once in 10^7
@@ -329,6 +337,7 @@ def test_distributions_are_kept_under_correlation() -> None:
     assert np.max(np.abs(errors[:, 0])) <= math.sqrt(3.0)
 
 
+@pytest.mark.costly
 def test_errors_have_the_stated_correlation_and_variance() -> None:
     model, errors = drawn_block()
     np.testing.assert_allclose(np.corrcoef(errors.T), 0.6 * np.eye(4) + 0.4, atol=4e-3)
@@ -352,6 +361,7 @@ def test_every_source_takes_a_distribution() -> None:
     assert np.all((ratio > 1.69) & (ratio <= math.sqrt(3.0) * (1.0 + 1e-12)))
 
 
+@pytest.mark.costly
 def test_a_field_of_heights_keeps_its_distribution_and_variogram() -> None:
     field = sources.TerrainField.of_variograms(gaussian=[(2.0, 100.0)], nodes=5, distribution=Laplace())
     place = jnp.stack([jnp.array([6.4e6, 25.0 * k, 0.0]) for k in range(5)])
@@ -373,6 +383,7 @@ def _scene(*errors: Any) -> tuple[Any, ...]:
     return looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, errors
 
 
+@pytest.mark.costly
 def test_linear_propagation_uses_the_variance_and_says_so() -> None:
     shaped = jaxgeo.propagate(
         *_scene(
@@ -410,6 +421,7 @@ def _linear(distribution: Any, others: float) -> un.Propagation:
     return un.Propagation(nominal.fix, up, cov, up @ cov @ up.T, jnp.zeros(3), surface, nominal, model)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "distribution, others, expected",
     [
@@ -536,6 +548,7 @@ def test_sigma_points_second_order_and_samples_agree_where_ground_is_level() -> 
     assert abs(float(linear.cov_enu.max()) / drawn.cov_enu.max() - 1.0) > 0.03
 
 
+@pytest.mark.costly
 def test_indices_use_the_distribution() -> None:
     """A failure of half of the axis' errors to be small: shares of variance are those of the variances."""
     scene = _scene(UP(3.0, distribution=Arcsine()), sources.Geoid.from_metres(4.0, distribution=Laplace()))

@@ -37,6 +37,7 @@ def scrambles() -> np.ndarray:
     return scipy.special.ndtr(np.asarray(normal)).reshape(POINTS, 16, SIZE).swapaxes(0, 1)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("draws", DRAWS)
 def test_a_sample_hangs_on_key_and_index_alone(draws: AbstractDraws) -> None:
     together = np.asarray(crowd(draws, KEY, jnp.arange(16 * POINTS)))

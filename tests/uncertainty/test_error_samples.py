@@ -25,6 +25,7 @@ def errors_of(scene: Any, key: Any, indices: Any) -> Any:
     return error_samples(*scene, key, indices)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "scene, draws",
     [
@@ -56,6 +57,7 @@ def test_a_map_over_pixels_keys_and_numbers() -> None:
         np.testing.assert_allclose(found.errors_enu[k].reshape(6, 3), expected, rtol=0, atol=ROUNDING)
 
 
+@pytest.mark.costly
 def test_an_observation_and_shapes_of_numbers() -> None:
     one = Observation(Exposure(*SCENE[:2]), np.array(SCENE[2]))
     f = jax.jit(error_samples)
@@ -67,6 +69,7 @@ def test_an_observation_and_shapes_of_numbers() -> None:
     np.testing.assert_allclose(alone.errors_enu, expected, rtol=0, atol=ROUNDING)
 
 
+@pytest.mark.costly
 def test_without_a_nominal_fix_and_beyond_the_last_number() -> None:
     f = jax.jit(errors_of)
     nowhere = f((SENSOR, shot(20.0), *SCENE[2:]), KEY, np.arange(3))

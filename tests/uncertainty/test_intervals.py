@@ -98,6 +98,7 @@ def test_failures_are_the_worst_samples() -> None:
     assert quantile_interval([2.0, 3.0], 0.5) == (2.0, 0.0, math.inf)
 
 
+@pytest.mark.costly
 def test_intervals_hold_circular_errors_as_often_as_they_say(true_radii: list[float]) -> None:
     """95 % of 1000 experiments of 10 000 samples; 93 to 97 % is three standard deviations of that count."""
     random = np.random.default_rng(2)
@@ -110,6 +111,7 @@ def test_intervals_hold_circular_errors_as_often_as_they_say(true_radii: list[fl
     assert np.all(held <= 970), held
 
 
+@pytest.mark.costly
 def test_intervals_of_scrambled_points_hold_them_too_and_are_narrower(true_radii: list[float]) -> None:
     """250 experiments of 16 scrambles of 2^8 points: 91 to 99 % is 2.9 standard deviations of their count."""
 

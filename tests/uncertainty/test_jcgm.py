@@ -153,6 +153,7 @@ def test_comparison_loss_of_independent_quantities(x1: float, u: int, low: float
     assert middle_interval(loss) == pytest.approx(tuple(exact.ppf([0.025, 0.975])), rel=5e-3)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "x1, u, low, high", list(zip(SQUARES, (67, 121, 505), (0, 13, 1628), (185, 398, 3555), strict=True))
 )
@@ -191,6 +192,7 @@ def test_calibration_of_a_gauge_block() -> None:
     assert shortest_interval(y, 0.99) == pytest.approx((745.0, 932.0), abs=2.0)
 
 
+@pytest.mark.costly
 def test_product_of_a_normal_and_a_uniform_quantity() -> None:
     """Moments by those of the factors, quantiles by quadrature over the uniform one."""
     x, y = drawn(quantity(0.3), quantity(0.5, Uniform()))

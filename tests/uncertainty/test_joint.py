@@ -33,6 +33,7 @@ def attitude(sharing: AbstractSharing) -> ErrorModel:
     return ErrorModel((sources.Attitude.from_degrees(heading=0.03, pitch=0.03, roll=0.03, sharing=sharing),))
 
 
+@pytest.mark.costly
 def test_two_targets_in_one_frame_are_far_better_known_against_each_other() -> None:
     model = ErrorModel(
         (
@@ -69,6 +70,7 @@ def axes_of(cov) -> np.ndarray:
     return np.sqrt(np.linalg.eigvalsh(np.asarray(cov)[:2, :2]))
 
 
+@pytest.mark.costly
 def test_fusing_two_orthogonal_looks() -> None:
     fixes = orthogonal_fixes(PerImage())
     np.testing.assert_allclose(axes_of(fixes[0].cov_enu), [6.0, 24.4], atol=0.15)
@@ -79,6 +81,7 @@ def test_fusing_two_orthogonal_looks() -> None:
     np.testing.assert_allclose(axes_of(fused), 5.83, atol=0.05)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("duration, least, most", [(1e-3, 0.0, 0.01), (20.0, 0.1, 0.9), (1e9, 0.99, 1.0)])
 def test_what_is_common_in_time_goes_from_nothing_to_all(duration: float, least: float, most: float) -> None:
     """Between looks that share nothing and looks that share their boresight, by how long it keeps."""
@@ -90,6 +93,7 @@ def test_what_is_common_in_time_goes_from_nothing_to_all(duration: float, least:
     assert least <= share <= most
 
 
+@pytest.mark.costly
 def test_a_common_boresight_keeps_looks_from_helping_each_other() -> None:
     """From one side: independent errors average out, common ones stay, and what fades in time lies between."""
 
@@ -140,6 +144,7 @@ def test_sharing(sharing: AbstractSharing, here: tuple, there: tuple, expected: 
     assert float(sharing.correlation(Occasion(*here), Occasion(*there))) == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.costly
 def test_models_that_differ_are_refused() -> None:
     fix = propagate(SENSOR, shot_from(0.0), MIDDLE, GROUND, attitude(PerImage()))
     other = propagate(

@@ -83,6 +83,7 @@ def test_covariance_is_the_same_in_ecef(whole) -> None:
     np.testing.assert_allclose(R.T @ whole.cov_ecef @ R, whole.cov_enu, atol=1e-9)
 
 
+@pytest.mark.costly
 def test_a_look_straight_down_at_a_plane() -> None:
     """Every figure by hand: position moves the fix as it is, height not at all, a pixel by height over focal length."""
     camera = jaxgeo.FrameCamera.from_pixels(focal_px=2000.0, width=801, height=601)

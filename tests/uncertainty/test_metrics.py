@@ -72,6 +72,7 @@ def test_spheres(sigmas, radii):
     np.testing.assert_allclose(m.spherical_error(np.diag(sigmas) ** 2, PROBABILITIES), radii, rtol=1e-8)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_radii_in_numpy_are_those_of_the_program(d: int) -> None:
     """A few radii called directly are computed in NumPy, traced ones and many by a program."""
@@ -167,6 +168,7 @@ CASES = [[[1.0, 0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0, 1.0], [0.5, -0.3]], [[4.0, 1
 CASES += [[[1.0, 0.0, 1e-4], [0.0, 0.2]], [[1.0, 0.0, 1e-4], [0.0, 0.0]]]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("variances, bias", CASES)
 def test_gradient_is_the_central_difference(variances, bias):
     """For round errors, thin ones, and without a bias."""
@@ -178,6 +180,7 @@ def test_gradient_is_the_central_difference(variances, bias):
     np.testing.assert_array_less(np.abs(GRADIENT(parts) - differences), loose + 1e-7 * np.abs(differences))
 
 
+@pytest.mark.costly
 def test_gradient_at_the_edge_of_what_can_be():
     """A flat error: the derivative by the missing variance is one-sided; no error at all: finite, and zero."""
     flat = jnp.array([1.0, 0.0, 0.0, 0.9, 0.0, 0.0])
@@ -364,6 +367,7 @@ def test_an_error_ellipse_prints_its_numbers() -> None:
     assert several == "semi-axes [3 2] and [1 1] m, the longer at [90 0] deg clockwise from north"
 
 
+@pytest.mark.costly
 def test_radii_are_the_same_bits_whatever_was_computed_before() -> None:
     """As results of several processes are compared; the figures of few fixes are computed in NumPy."""
     random = np.random.default_rng(5)

@@ -72,12 +72,14 @@ def test_samples_of_an_accelerator_are_those_of_a_cpu(whole, monkeypatch) -> Non
         np.testing.assert_array_equal(summary.histograms[figure].counts, expected.counts)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("cuts", [(1,), (BLOCK, 2 * BLOCK), (7, 3391, 3393, 17_001, COUNT - 1)])
 def test_parts_are_the_whole_to_the_bit(whole, cuts: tuple[int, ...]) -> None:
     parts = [part(first, end) for first, end in itertools.pairwise((0, *cuts, COUNT))]
     assert_same_samples(parts[0].merge(*parts[1:]), whole)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("chunk", [1, 9000])
 def test_parts_are_the_whole_to_the_bit_whatever_the_chunk(whole, chunk: int) -> None:
     assert_same_samples(part(0, 5000, chunk=chunk).merge(part(5000, COUNT, chunk=chunk)), whole)
@@ -108,6 +110,7 @@ def test_many_samples_are_those_of_few() -> None:
         assert_same_samples(few[0].merge(*few[1:]), many)
 
 
+@pytest.mark.costly
 def test_the_order_and_grouping_of_merges_change_nothing(whole) -> None:
     a, b, c = (part(first, end) for first, end in itertools.pairwise((0, 400, 9000, COUNT)))
     every = [a.merge(b, c), c.merge(a, b), a.merge(b).merge(c), a.merge(b.merge(c)), c.merge(a).merge(b)]
@@ -148,6 +151,7 @@ OTHER_MODEL = ErrorModel((sources.Attitude.from_degrees(heading=0.1, pitch=0.1, 
 CROPPED = dataclasses.replace(CAMERA, height=600)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "scene, options, message",
     [
@@ -229,6 +233,7 @@ def test_about_the_mean_of_a_part(whole) -> None:
     np.testing.assert_allclose(about.errors_enu.mean(axis=0), 0.0, atol=1e-9)
 
 
+@pytest.mark.costly
 def test_a_part_that_stops_when_it_is_sure_enough(whole) -> None:
     sure = part(1000, 200_000, half_width=0.03, chunk=1)
     assert sure.ranges[0][0] == 1000
@@ -296,6 +301,7 @@ def test_bins_are_as_wide_as_said_and_cover_all_radii() -> None:
     assert np.all(np.diff(bins_of(np.sort(radii))) >= 0)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("groups", [1, 16])
 @pytest.mark.parametrize("lost", [0, 7, 300])
 def test_quantiles_of_a_histogram(groups: int, lost: int) -> None:

@@ -115,6 +115,7 @@ def test_one_two_and_four_processes_draw_the_same() -> None:
         assert_told_the_same(told(processes, SEVERAL), one)
 
 
+@pytest.mark.costly
 def test_two_processes_draw_the_same_as_this_one() -> None:
     """Also until the figure is known to a half width: then as many samples as its rounds ask for."""
     program = "tell(sample(*SCENE, key=KEY, count=9000, chunk=1))\n"
@@ -207,6 +208,7 @@ def test_every_sample_is_given_to_one_process(first: int, count: int, processes:
     assert max(number for _, number in shares) <= -(-count // processes) + BLOCK + unit
 
 
+@pytest.mark.costly
 def test_rounds_until_the_figure_is_sharp() -> None:
     """As one process draws: what the rounds draw is merged, and they stop at the count."""
     drawn: list[tuple[int, int]] = []

@@ -106,6 +106,7 @@ def test_samples_without_a_fix_count_as_infinitely_far(share_lost: float, least:
     assert low.value > low.conditional
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("moves_ground", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
     """On rough ground, where the crowd is told where to begin; one of its own by one of its own."""
@@ -271,6 +272,7 @@ def compiled(caplog: pytest.LogCaptureFixture, call: Callable[[], object]) -> se
     return {match[1] for match in found if match}
 
 
+@pytest.mark.costly
 def test_another_count_compiles_nothing_and_another_error_only_the_lines_of_sight(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -115,6 +115,7 @@ def test_where_the_map_is_linear_indices_are_the_shares_of_the_budget():
         assert height.total_high >= up / whole[1] - 1e-6
 
 
+@pytest.mark.costly
 def test_a_look_gives_the_indices_of_another_program():
     analyze = pytest.importorskip("SALib.analyze.sobol").analyze
     draw = pytest.importorskip("SALib.sample.sobol").sample
@@ -141,6 +142,7 @@ def test_a_look_gives_the_indices_of_another_program():
             assert abs(ours.total - theirs["ST"][k]) < ours.total_high - ours.total + theirs["ST_conf"][k]
 
 
+@pytest.mark.costly
 def test_rows_without_a_fix_are_left_out_and_said():
     indices = indices_at(84.0, 60.0)
     assert 0.1 < indices.left_out < 0.9

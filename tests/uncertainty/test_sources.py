@@ -20,6 +20,7 @@ LOOK = ModelInputs.of(looks.sensor(), looks.shot(), looks.UV, LEVEL)
 NAN = math.nan
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "source, message",
     [
@@ -43,6 +44,7 @@ def test_what_makes_no_sense_is_refused(source: sources.AbstractSource, message:
         propagate(looks.sensor(), looks.shot(), looks.UV, LEVEL, ErrorModel((source,)))
 
 
+@pytest.mark.costly
 def test_a_level_gimbal_has_no_boresight_against_the_body() -> None:
     sensor = jaxgeo.Sensor(looks.sensor().camera, Gimbal.three_axis(), jaxgeo.Mount.forward())
     shot = jaxgeo.Shot(looks.pose(), jnp.array([1.5, -0.8, 0.0]))

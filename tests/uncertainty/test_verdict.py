@@ -27,6 +27,7 @@ from jaxgeo.uncertainty import (
 )
 from jaxgeo.uncertainty.model import checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
+from tests.support import looks
 
 CENTRE = Geodetic.from_degrees(lat=46.0, lon=8.0, height=0.0)
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=20_000.0, width=401, height=401)
@@ -154,9 +155,24 @@ def test_constant_height_needs_no_samples() -> None:
     assert str(half).startswith("CE50")
 
 
+@pytest.mark.costly
 def test_no_fix_is_said() -> None:
     up = Shot(Pose(CENTRE.__class__.from_degrees(lat=46.0, lon=8.0, height=3000.0), 0.0, 0.5, 0.0))
     with pytest.raises(ValueError, match="cannot estimate accuracy, there is no fix: rises_away"):
         accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL)
     with pytest.raises(ValueError, match="between 0 and 1"):
         accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL, probability=1.5)
+
+
+@pytest.mark.costly
+def test_samples_are_drawn_until_every_figure_is_decided() -> None:
+    """100 000 samples leave LE90 over level ground undecided to two digits; parts are the samples of one call."""
+    look = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, looks.level_errors())
+    few = compare(*look, sampling=Sampling(count=100_000))
+    assert (few.sampled.count, "undecided" in few.rows[0].validity) == (100_000, True)
+    found = compare(*look)
+    assert found.sampled.count in (400_000, 1_600_000)
+    assert not any("undecided" in row.validity for row in found.rows)
+    whole = sample(*look, count=found.sampled.count, keep=True)
+    np.testing.assert_array_equal(found.sampled.radii["LE"], whole.radii["LE"])
+    assert found.beyond_gap.shape == (found.sampled.count,)
