@@ -39,8 +39,8 @@ SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the
 NO_FIX = -1  # in place of a `Method`, without a fix
 LEVEL = 0.9  # probability of the figures that are compared
 # 95 % of exact circular errors are within these logarithms of that by linear propagation (benchmarks/verdict.py).
-MARGIN, MARGIN_OF_SPREAD, SPREAD = 0.012, 0.55, 0.1
-MARGIN_OF_JUMPS, FEWEST_JUMPS = 0.2, 1e-6  # where lines of sight jump or fail with a probability
+MARGIN, MARGIN_OF_SPREAD, SPREAD = 0.014, 0.45, 0.1
+MARGIN_OF_JUMPS, FEWEST_JUMPS = 0.08, 1e-6  # where lines of sight jump or fail with a probability
 GRAZING = 0.01  # sine of the angle between ray and surface
 SAME = 5e-4  # difference of two figures, of their size, that is not worth a word
 

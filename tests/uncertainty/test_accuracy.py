@@ -39,14 +39,46 @@ def test_every_field_of_one_fix_is_an_array(one: Accuracy) -> None:
         assert isinstance(getattr(one, name), jax.Array), name
     assert (one.shape, one.words, one.level()) == ((), Method.facet.words, 0.9)
     assert "nearly planar" in one.because
+    low, high = one.circular_interval
     assert str(one) == (
-        f"CE90 {float(one.circular):.4g} m, LE90 {float(one.linear):.4g} m, SE90 {float(one.spherical):.4g} m, "
+        f"CE90 {float(one.circular):.4g} m ({float(low):.3g} to {float(high):.3g}), "
+        f"LE90 {float(one.linear):.4g} m, SE90 {float(one.spherical):.4g} m, "
         f"by linear propagation. {one.because}"
     )
     np.testing.assert_array_equal(one.cov_enu, one.propagation.cov_enu)
     assert np.isnan(one.failed)
     with pytest.raises(IndexError, match="one fix"):
         one[0]
+
+
+def test_the_interval_of_a_figure_grows_with_what_planes_leave_out(one: Accuracy, many: Accuracy) -> None:
+    """On level ground it is narrowest; it does not depend on which of facet and footprint is off, nor on the sign."""
+
+    def half(**changed: float) -> float:
+        diagnostics = one.diagnostics._replace(**{name: jnp.asarray(value) for name, value in changed.items()})
+        low, high = dataclasses.replace(one, diagnostics=diagnostics).circular_interval
+        assert float(low * high) == pytest.approx(float(one.circular) ** 2, rel=1e-12)
+        return float(jnp.log(high / one.circular))
+
+    profile = float(one.diagnostics.profile)
+    narrowest = half(facet=profile, footprint=profile)
+    assert half() == pytest.approx(narrowest, rel=0.05)
+    widths = [half(facet=profile * off, footprint=profile) for off in (1.0, 1.02, 1.05, 1.1, 1.3, 3.0)]
+    assert widths[0] == narrowest > 0.0
+    assert np.all(np.diff(widths[:4]) > 0.0)
+    assert widths[-1] == widths[-2]  # such fixes are rare, and sent to samples
+    assert half(facet=profile, footprint=profile / 1.05) == pytest.approx(widths[2], rel=1e-9)
+    assert half(facet=profile, footprint=profile, jumps=0.005) > narrowest + 0.05
+    np.testing.assert_array_equal(np.isnan(many.circular_interval[0]), ~np.asarray(many.has_fix))
+    np.testing.assert_allclose(many.circular_interval[1][0, 0], one.circular_interval[1], rtol=1e-6)
+
+
+def test_the_interval_of_samples_is_theirs(one: Accuracy) -> None:
+    drawn = sample(*SCENE, count=2000)
+    found = dataclasses.replace(one, method=jnp.asarray(Method.samples.value), sampled=drawn)
+    expected = drawn.circular_error(0.9)
+    assert found.circular_interval == (expected.low, expected.high)
+    assert np.isnan(dataclasses.replace(found, sampled=None).circular_interval[0])
 
 
 def test_it_goes_through_jit_and_pickle(one: Accuracy, many: Accuracy) -> None:
