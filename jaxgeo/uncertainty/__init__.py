@@ -21,6 +21,7 @@ from jaxgeo.uncertainty.linear import Propagation, propagate
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.regions import Mode, ProbabilityMap, Region, Share
 from jaxgeo.uncertainty.sampled import sample
 from jaxgeo.uncertainty.sampled_record import Quantile, Sampled
 from jaxgeo.uncertainty.sampling import Sampling
@@ -45,17 +46,21 @@ __all__ = [
     "JointFixes",
     "Level",
     "Method",
+    "Mode",
     "Moments",
     "Outcome",
     "PerFlight",
     "PerImage",
     "PerMeasurement",
+    "ProbabilityMap",
     "Propagation",
     "Quantile",
     "RadiusHistogram",
     "Random",
+    "Region",
     "Sampled",
     "Sampling",
+    "Share",
     "Sobol",
     "SobolIndices",
     "Systematic",

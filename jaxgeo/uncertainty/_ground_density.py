@@ -1,0 +1,176 @@
+"""Density of sampled ground points on the cells of a grid, calibrated so that its level sets hold what they state."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+PAIRS = 8192  # of samples, from which the shape of the kernel is found
+NEAR = 0.25  # of the pairs: those within one mode
+MOST_ELONGATED = 50.0  # ratio of the axes of the kernel
+TREE = 2000  # samples among which neighbours are counted
+NEIGHBOURS = 16  # of them: their distance gives the density of the pilot
+SMOOTHING = 0.65  # times n^(-1/6) standard deviations at the peak of a normal cloud
+WIDEST = 4.0  # bandwidth over the median one
+REACH = 3.5  # bandwidths around a sample that have a probability
+PER_CELL = 1.25  # narrowest bandwidth in cells
+MOST_CELLS = 2**20
+KNOTS = 128  # levels at which the density is calibrated
+
+
+class Cells(NamedTuple):
+    """Probability of square or rectangular cells, from the densest to the thinnest.
+
+    `corner` (row, col) of the first cell's corner, `size` of a cell (rows, cols), both in posts of the DEM's grid, and
+    the `shape` of the array of cells. `index` (m,) are flat positions in it, `density` (m,) is falling, `probability`
+    (m,) sums to one. `density_at` (n,) is the density at each sample without its own part.
+    """
+
+    corner: np.ndarray
+    size: np.ndarray
+    shape: tuple[int, int]
+    index: np.ndarray
+    density: np.ndarray
+    probability: np.ndarray
+    density_at: np.ndarray
+
+
+def ground_density(rowcol: np.ndarray, post: np.ndarray) -> Cells:
+    """Calibrated density of samples at (row, col) (n, 2) on cells; `post` is the size of the grid's post spacing in m.
+
+    A Gaussian kernel of variable bandwidth at each sample, in proportion to the square root of the area per sample
+    (Abramson 1982, "On bandwidth variation in kernel estimates") by the distance of a neighbour (Breiman, Meisel and
+    Purcell 1977, "Variable kernel estimates of multivariate densities"). The bandwidth is 0.65 n^(-1/6) of the standard
+    deviation that a normal cloud with this density would have, at most four times the median. All kernels have the
+    shape of the covariance of near pairs of samples. Cells are the grid's own, divided so that the kernels span them.
+
+    The probability of a level set is the share of samples whose density, without their own kernel, is above the level
+    (leave one out): the mass of the kernels is scaled between 128 levels to agree with it.
+    """
+    points = rowcol * post
+    shape = _kernel_shape(points)
+    width = _bandwidths(points, shape)
+    corner, size, number = _cells(rowcol, post, shape, width)
+    side = size * post
+    widest = max(float(width.max()), PER_CELL * math.sqrt(float(_narrowest(shape, side))))
+    margin = np.ceil(REACH * widest * np.sqrt(np.diag(shape)) / side).astype(int)
+    extent = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in number + 2 * margin)
+    corner = corner - margin * size
+    cell = np.floor((rowcol - corner) / size).astype(int)
+    flat = cell[:, 0] * extent[1] + cell[:, 1]
+    density, own = _smoothed(flat, extent, side, shape, width)
+    at = density[flat] - own
+    return _calibrated(density, at, own, corner, size, extent)
+
+
+def _kernel_shape(points: np.ndarray) -> np.ndarray:
+    """Covariance (2, 2), up to a factor, of near pairs; the smaller variance is one.
+
+    A quarter of random pairs is kept, those nearest to each other in units of their own covariance: pairs of two modes
+    far apart do not count. As the minimum covariance determinant (Rousseeuw 1985) of differences.
+    """
+    rng = np.random.default_rng(0)
+    count = len(points)
+    first = rng.integers(0, count, PAIRS)
+    apart = points[first] - points[(first + rng.integers(1, max(count, 2), PAIRS)) % count]
+    keep, shape = int(NEAR * PAIRS), np.eye(2)
+    for _ in range(8):
+        far = np.einsum("ni,ij,nj->n", apart, np.linalg.inv(shape), apart)
+        near = apart[np.argpartition(far, keep)[:keep]]
+        shape = _bounded(near.T @ near)
+    return shape
+
+
+def _bounded(cov: np.ndarray) -> np.ndarray:
+    """A covariance over its smaller variance, of limited elongation."""
+    values, vectors = np.linalg.eigh(cov)
+    if not values[1] > 0.0:
+        return np.eye(2)
+    ratio = min(values[1] / max(values[0], values[1] / MOST_ELONGATED**2), MOST_ELONGATED**2)
+    return vectors * np.array([1.0, ratio]) @ vectors.T
+
+
+def _bandwidths(points: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Bandwidth (n,) of each sample in m along the narrow axis."""
+    scaled = points @ np.linalg.inv(np.linalg.cholesky(shape)).T
+    count = len(points)
+    members = np.arange(0, count, -(-count // TREE))
+    neighbours = min(NEIGHBOURS, len(members) - 1)
+    tree = scipy.spatial.cKDTree(scaled[members])
+    distance = tree.query(scaled, k=[neighbours])[0][:, 0]
+    distance[members] = tree.query(scaled[members], k=[neighbours + 1])[0][:, 0]
+    # k of m samples within a distance: the density is k / (m pi d^2); a normal one of this peak has sigma:
+    sigma = distance * math.sqrt(len(members) / (2.0 * neighbours))
+    width = SMOOTHING * count ** (-1.0 / 6.0) * sigma
+    middle = float(np.median(width))
+    floor = middle / 64.0 if middle > 0.0 else max(float(width.max()) / 64.0, 1e-3)
+    return np.clip(width, floor, WIDEST * max(middle, floor))
+
+
+def _narrowest(shape: np.ndarray, side: np.ndarray) -> float:
+    """Largest variance of a unit cell in units of the kernel's shape."""
+    return float(np.max(np.linalg.eigvalsh(np.diag(side) @ np.linalg.inv(shape) @ np.diag(side))))
+
+
+def _cells(
+    rowcol: np.ndarray, post: np.ndarray, shape: np.ndarray, width: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(corner, size, number) of the cells that hold all samples: posts divided, or joined, by whole numbers."""
+    target = float(np.quantile(width, 0.1)) / PER_CELL
+    # extents of the narrow axis along rows and columns
+    low, high = rowcol.min(axis=0), rowcol.max(axis=0)
+    while True:
+        parts = post / target
+        size = np.where(parts >= 1.0, 1.0 / np.ceil(parts), np.floor(1.0 / np.minimum(parts, 1.0)))
+        corner = np.floor(low / size) * size
+        number = np.floor((high - corner) / size).astype(int) + 1
+        most = float(np.prod(number + 2.0 * REACH * width.max() * np.sqrt(np.diag(shape)) / (size * post)))
+        if most <= MOST_CELLS:
+            return corner, size, number
+        target *= max(math.sqrt(most / MOST_CELLS), 1.05)
+
+
+def _smoothed(
+    flat: np.ndarray, extent: tuple[int, int], side: np.ndarray, shape: np.ndarray, width: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(mass of the kernels in each cell, each sample's own part of it at its cell)."""
+    count = len(flat)
+    row = scipy.fft.fftfreq(extent[0], side[0])[:, None]
+    col = scipy.fft.rfftfreq(extent[1], side[1])[None, :]
+    power = -2.0 * math.pi**2 * (shape[0, 0] * row**2 + 2.0 * shape[0, 1] * row * col + shape[1, 1] * col**2)
+    least = PER_CELL * math.sqrt(_narrowest(shape, side))
+    group = np.round(2.0 * np.log2(np.maximum(width, least))).astype(int)
+    total = np.zeros(power.shape, complex)
+    own = np.empty(count)
+    peak = float(np.prod(side)) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(shape))) * count)
+    for number in np.unique(group):
+        which = group == number
+        counts = np.bincount(flat[which], minlength=extent[0] * extent[1]).reshape(extent)
+        wide = 2.0**number  # squared bandwidth: two groups for a factor of two
+        total += scipy.fft.rfft2(counts.astype(np.float64)) * np.exp(wide * power)
+        own[which] = peak / wide
+    mass = scipy.fft.irfft2(total, extent, overwrite_x=True).ravel() / count
+    return mass, own
+
+
+def _calibrated(
+    mass: np.ndarray, at: np.ndarray, own: np.ndarray, corner: np.ndarray, size: np.ndarray, extent: tuple[int, int]
+) -> Cells:
+    least = float(own.min()) * math.exp(-0.5 * (REACH - 0.5) ** 2)
+    index = np.flatnonzero(mass > least)
+    index = index[np.argsort(mass[index])[::-1]]
+    density = mass[index]
+    inside = np.cumsum(density)
+    share = np.arange(1, KNOTS) / KNOTS
+    share = np.concatenate([share, [0.995, 0.998, 0.999]])
+    level = np.quantile(at, 1.0 - share)
+    above = np.searchsorted(-density, -level, side="right")  # cells at or above the level
+    kept = (above > 0) & (above < len(index))
+    knot = np.concatenate([[0.0], inside[above[kept] - 1], inside[-1:]])
+    at_knot = np.concatenate([[0.0], share[kept], [1.0]])
+    knot, first = np.unique(knot, return_index=True)
+    held = np.interp(inside, knot, at_knot[first])
+    return Cells(corner, size, extent, index, density, np.diff(held, prepend=0.0), at)

@@ -1,0 +1,485 @@
+"""Highest-density regions of the truth on the ground, probability maps, and the probability of an area."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy
+
+from jaxgeo._checks import check_is
+from jaxgeo._compile import quick_filter_jit
+from jaxgeo._record import portable
+from jaxgeo._typing import Scalar, Vector3
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.fix import Fix
+from jaxgeo.sensor import Shot
+from jaxgeo.terrain import Dem, TangentGrid
+from jaxgeo.terrain.grid import AbstractGrid, surface_point
+from jaxgeo.uncertainty._ground_density import Cells, ground_density
+from jaxgeo.uncertainty._level_sets import level_set
+from jaxgeo.uncertainty._region_words import mode_words, region_words
+from jaxgeo.uncertainty.intervals import scrambled_interval
+from jaxgeo.uncertainty.sampled_record import Sampled
+
+BATCH = 4096  # points converted at a time
+FEWEST = 100  # samples with ground that a density needs
+BEYOND = 0.70  # cosine of 45 degrees: farther, nearer, left, right
+
+
+class Share(NamedTuple):
+    """A share of all samples, and its confidence interval from `low` to `high`."""
+
+    value: float
+    low: float
+    high: float
+
+
+@portable
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mode:
+    """A connected piece of a region.
+
+    `share` of all samples, `polygon` in deg of longitude and latitude, `polygon_enu` in m east and north of the fix
+    (both shapely), `area` in m2. `position` is the mean of its samples, `distance` in m and `azimuth` in rad those from
+    the fix, `rise` in m its height over the fix; `beside` is "farther", "nearer", "left" or "right" as the camera sees
+    it from the fix, "" if the camera is not known. `holds_fix` is true if the fix lies in it.
+    """
+
+    share: Share
+    polygon: Any
+    polygon_enu: Any
+    area: float
+    position: Geodetic
+    distance: float
+    azimuth: float
+    rise: float
+    beside: str
+    holds_fix: bool
+
+    @property
+    def words(self) -> str:
+        """Share and place, as "34 % 1.2 km to the north-east, farther from the camera, 85 m higher"."""
+        return mode_words(self)
+
+
+@portable
+@dataclasses.dataclass(frozen=True, eq=False)
+class Region:
+    """Highest-density region: the smallest area on the ground that holds the truth with a probability.
+
+    `polygon` is a shapely multipolygon in deg of longitude (within 180 deg of the fix) and latitude on WGS 84;
+    `polygon_enu` the same in m east and north of the fix, `area` in m2 on its level plane. `cells` (m, 2) are the (row,
+    col) of the centres of its cells on `grid`, with `cell_probability` (m,), from the densest to the thinnest. `modes`
+    are its connected pieces, the largest share first; `outside` is the share of the samples outside of it,
+    `without_ground` that of the samples without a fix, which are outside too. Intervals are at `confidence`.
+    """
+
+    probability: float
+    fix: Fix
+    polygon: Any
+    polygon_enu: Any
+    area: float
+    grid: AbstractGrid
+    cells: np.ndarray
+    cell_probability: np.ndarray
+    modes: tuple[Mode, ...]
+    outside: Share
+    without_ground: Share
+    confidence: float
+
+    @property
+    def words(self) -> str:
+        """The pieces with their shares and places, in a sentence each."""
+        return region_words(self)
+
+    def __repr__(self) -> str:
+        return f"Region({self.words})"
+
+
+@portable
+@dataclasses.dataclass(frozen=True, eq=False)
+class ProbabilityMap:
+    """Probability of the truth in each cell of a grid, from samples.
+
+    `cells` (m, 2) are the (row, col) of centres on `grid`, from the densest to the thinnest, `size` the (rows, cols) of
+    a cell in posts of the grid, `probability` (m,) sums to `found`, the share of the samples with a fix. `post` is the
+    size in m of the grid's posts at the fix, along rows and columns.
+    """
+
+    fix: Fix
+    grid: AbstractGrid
+    cells: np.ndarray
+    size: np.ndarray
+    probability: np.ndarray
+    post: np.ndarray
+    found: float
+    confidence: float
+    _density: Cells
+    _samples: _Samples
+
+    @property
+    def cell_size(self) -> tuple[float, float]:
+        """Length in m of a cell along a column and along a row."""
+        down, across = (self.size * self.post).tolist()
+        return down, across
+
+    def region(self, probability: float = 0.9) -> Region:
+        """`Sampled.region` from this map: regions of several probabilities from one density, each within the next."""
+        return _region(self, checked_probability(probability))
+
+
+class _Samples(NamedTuple):
+    """Samples with ground of `count`: numbers (n,), offsets (n, 3), (row, col) (n, 2) and positions (n, 3)."""
+
+    numbers: np.ndarray
+    offsets: np.ndarray
+    rowcol: np.ndarray
+    latlonh: np.ndarray
+    count: int
+    scrambles: int
+    looking: np.ndarray | None
+
+
+def probability_map(sampled: Sampled, *, dem: Dem | None = None) -> ProbabilityMap:
+    """`Sampled.probability_map`."""
+    samples, grid = _on_grid(sampled, dem)
+    frame = _Frame.of(sampled.fix, grid)
+    post = frame.post_size()
+    density = ground_density(samples.rowcol, post)
+    row, col = np.divmod(density.index, density.shape[1])
+    cells = density.corner + (np.stack([row, col], axis=1) + 0.5) * density.size
+    found = len(samples.numbers) / samples.count
+    return ProbabilityMap(
+        fix=sampled.fix,
+        grid=grid,
+        cells=cells,
+        size=density.size,
+        probability=density.probability * found,
+        post=post,
+        found=found,
+        confidence=sampled.confidence,
+        _density=density,
+        _samples=samples,
+    )
+
+
+def probability_within(sampled: Sampled, polygon: Any) -> Share:
+    """`Sampled.probability_within`."""
+    import shapely  # polygon library, needed by these functions only
+
+    area = _checked_polygon(polygon)
+    offsets, numbers = _offsets(sampled)
+    lon, lat = np.degrees(_places(sampled.fix, offsets)[:, [1, 0]]).T
+    shapely.prepare(area)
+    inside = np.zeros(len(lon), bool)
+    for turn in (-360.0, 0.0, 360.0):
+        inside |= shapely.contains_xy(area, lon + turn, lat)
+    if not inside.any() and len(lon):
+        swapped = shapely.transform(area, lambda xy: xy[:, ::-1])
+        if swapped.intersects(shapely.box(lon.min(), lat.min(), lon.max(), lat.max())):
+            raise ValueError(
+                "the polygon holds no sample, but would with its coordinates exchanged: they must be (longitude, "
+                "latitude) in degrees, and seem to be (latitude, longitude)."
+            )
+    return _share(numbers[inside], sampled.count, sampled.confidence, sampled.scrambles)
+
+
+def checked_probability(probability: Any) -> float:
+    """A probability as a float. Raises `ValueError` unless it lies between 0 and 1."""
+    if isinstance(probability, bool | str) or not 0.0 < probability < 1.0:
+        raise ValueError(f"probability must lie between 0 and 1, such as 0.9; got {probability!r}.")
+    return float(probability)
+
+
+# The region of a map.
+
+
+def _region(found: ProbabilityMap, probability: float) -> Region:
+    import shapely
+
+    samples, density = found._samples, found._density
+    if probability > found.found:
+        raise ValueError(
+            f"no region holds the truth with {100.0 * probability:g} %: {100.0 * (1.0 - found.found):.3g} % of the "
+            f"samples have no ground (a line of sight that misses the terrain, or meets a void). Ask for less than "
+            f"{100.0 * found.found:.4g} %, or sample over a larger terrain."
+        )
+    held = np.cumsum(density.probability)
+    count = min(int(np.searchsorted(held, probability / found.found)) + 1, len(held))
+    level = _level(density.density, count)
+    row, col = np.divmod(density.index, density.shape[1])
+    first = np.maximum(np.array([row[:count].min(), col[:count].min()]) - 2, 0)
+    last = np.array([row[:count].max(), col[:count].max()]) + 3
+    window = np.zeros(last - first)
+    near = (row >= first[0]) & (row < last[0]) & (col >= first[1]) & (col < last[1])
+    window[row[near] - first[0], col[near] - first[1]] = density.density[near]
+    shape = level_set(window, level)
+    posts = shapely.transform(shape, lambda at: density.corner + (first + at + 0.5) * density.size)
+    members = density.density_at > level
+    places = _Frame.of(found.fix, found.grid).places(shapely.get_coordinates(posts))
+    in_degrees, in_metres = (shapely.set_coordinates(shapely.MultiPolygon(posts), p) for p in np.hsplit(places, 2))
+    pieces = zip(posts.geoms, in_degrees.geoms, in_metres.geoms, strict=True)
+    modes = [_mode(*piece, found, members) for piece in pieces]
+    modes.sort(key=lambda mode: (-mode.share.value, -mode.area))
+    numbers = samples.numbers[members]
+    known = np.zeros(samples.count, bool)
+    known[numbers] = True
+    without = np.ones(samples.count, bool)
+    without[samples.numbers] = False
+    how = samples.count, found.confidence, samples.scrambles
+    return Region(
+        probability=probability,
+        fix=found.fix,
+        polygon=shapely.MultiPolygon([mode.polygon for mode in modes]),
+        polygon_enu=shapely.MultiPolygon([mode.polygon_enu for mode in modes]),
+        area=float(sum(mode.area for mode in modes)),
+        grid=found.grid,
+        cells=found.cells[:count],
+        cell_probability=found.probability[:count],
+        modes=tuple(modes),
+        outside=_share(np.flatnonzero(~known), *how),
+        without_ground=_share(np.flatnonzero(without), *how),
+        confidence=found.confidence,
+    )
+
+
+def _level(density: np.ndarray, count: int) -> float:
+    """A density between those of the last cell of a region and the next one, or a little below the last of all."""
+    last = float(density[count - 1])
+    following = density[count:]
+    lower = following[following < last]
+    return 0.5 * (last + float(lower[0])) if lower.size else last * (1.0 - 1e-9)
+
+
+def _mode(piece: Any, in_degrees: Any, in_metres: Any, found: ProbabilityMap, members: np.ndarray) -> Mode:
+    """A connected piece, given in (row, col), in degrees and in m on the level plane."""
+    import shapely
+
+    samples = found._samples
+    shapely.prepare(piece)
+    inside = shapely.contains_xy(piece, *samples.rowcol.T)
+    own = np.flatnonzero(inside & members)
+    share = _share(samples.numbers[own], samples.count, found.confidence, samples.scrambles)
+    if not own.size:  # between samples
+        own = np.array([np.argmin(np.linalg.norm(samples.rowcol - np.array(piece.centroid.coords[0]), axis=1))])
+    lat, lon, height = samples.latlonh[own].mean(axis=0)
+    east, north = samples.offsets[own, :2].mean(axis=0)
+    distance, azimuth = math.hypot(east, north), math.atan2(east, north) % (2.0 * math.pi)
+    polygon, level = shapely.orient_polygons(in_degrees), shapely.orient_polygons(in_metres)
+    return Mode(
+        share=share,
+        polygon=polygon,
+        polygon_enu=level,
+        area=float(level.area),
+        position=Geodetic(lat=lat, lon=lon, height=height),
+        distance=distance,
+        azimuth=azimuth,
+        rise=float(height - np.asarray(found.fix.position.height)),
+        beside=_beside(np.array([east, north]), samples.looking),
+        holds_fix=bool(level.contains(shapely.Point(0.0, 0.0))),
+    )
+
+
+def _beside(offset: np.ndarray, looking: np.ndarray | None) -> str:
+    """Where an offset from the fix lies as the camera sees it, which looks along `looking` (east, north)."""
+    if looking is None or not np.any(offset):
+        return ""
+    along, right = offset @ looking, offset @ np.array([looking[1], -looking[0]])
+    length = BEYOND * math.hypot(along, right)
+    if abs(along) >= length:
+        return "farther" if along > 0.0 else "nearer"
+    return "right" if right > 0.0 else "left"
+
+
+def _share(numbers: np.ndarray, count: int, confidence: float, scrambles: int) -> Share:
+    """The share of samples with these numbers of all, and its interval.
+
+    Independent samples: Clopper and Pearson 1934, "The use of confidence or fiducial limits illustrated in the case of
+    the binomial". Scrambles of Sobol points: Student's interval of the shares of the scrambles.
+    """
+    if scrambles:
+        size = np.bincount(np.arange(count) % scrambles, minlength=scrambles)
+        each = np.bincount(numbers % scrambles, minlength=scrambles) / size
+        mean, low, high = scrambled_interval(each, confidence)
+        return Share(float(mean), float(low), min(float(high), 1.0))
+    hits, aside = len(numbers), 0.5 * (1.0 - confidence)
+    low = scipy.special.betaincinv(hits, count - hits + 1, aside) if hits else 0.0
+    high = scipy.special.betaincinv(hits + 1, count - hits, 1.0 - aside) if hits < count else 1.0
+    return Share(hits / count, float(low), float(high))
+
+
+# Samples on a grid.
+
+
+class _Frame(NamedTuple):
+    """A grid about a fix: maps of (row, col) (n, 2) to degrees, and to m on the level plane of the fix."""
+
+    grid: AbstractGrid
+    R: np.ndarray
+    p_ecef: np.ndarray
+    height: np.ndarray
+    lon_deg: float
+
+    @classmethod
+    def of(cls, fix: Fix, grid: AbstractGrid) -> _Frame:
+        R, height = np.asarray(R_ecef_from_enu(fix.position)), np.asarray(fix.position.height)
+        return cls(grid, R, np.asarray(fix.ecef), height, math.degrees(float(np.asarray(fix.position.lon))))
+
+    def places(self, rowcol: np.ndarray) -> np.ndarray:
+        """(longitude, latitude, east, north) (n, 4): deg, within 180 deg of the fix; m, at its height above WGS 84."""
+        found = _in_parts(_from_grid, rowcol, self.R, self.p_ecef, self.height, self.grid)
+        lon = np.degrees(found[:, 0]) - self.lon_deg
+        found[:, 0] = self.lon_deg + np.remainder(lon + 180.0, 360.0) - 180.0
+        found[:, 1] = np.degrees(found[:, 1])
+        return found
+
+    def post_size(self) -> np.ndarray:
+        """Length in m of a step in row and one in col, at the fix."""
+        at = _in_parts(_to_grid, np.zeros((1, 3)), self.R, self.p_ecef, self.grid)[0, 3:]
+        places = self.places(at + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))[:, 2:]
+        return np.linalg.norm(places[1:] - places[0], axis=1)
+
+
+def _in_parts(function: Any, points: np.ndarray, *common: Any) -> np.ndarray:
+    """A function of batches, of `BATCH` points at a time: one program serves any number."""
+    found = []
+    for first in range(0, len(points), BATCH):
+        part = points[first : first + BATCH]
+        filled = np.concatenate([part, np.repeat(part[-1:], BATCH - len(part), axis=0)])
+        found.append(np.asarray(function(filled, *common))[: len(part)])
+    return np.concatenate(found)
+
+
+@quick_filter_jit
+@functools.partial(jax.vmap, in_axes=(0, None, None, None))
+def _to_grid(offset: Vector3, R: jax.Array, p_ecef: Vector3, grid: AbstractGrid) -> jax.Array:
+    """(latitude, longitude, height, row, col) of a point at an offset (east, north, up) in m."""
+    normal, height = WGS84.normal_and_height(p_ecef + R @ offset)
+    return jnp.concatenate([jnp.stack([*_angles(normal), height]), grid.rowcol(normal)])
+
+
+@quick_filter_jit
+@functools.partial(jax.vmap, in_axes=(0, None, None, None, None))
+def _from_grid(rowcol: jax.Array, R: jax.Array, p_ecef: Vector3, height: Scalar, grid: AbstractGrid) -> jax.Array:
+    """(longitude, latitude, east, north) of a place at (row, col), at a height."""
+    normal = grid.normal(rowcol)
+    lat, lon = _angles(normal)
+    offset = R.T @ (surface_point(normal) + height * normal - p_ecef)
+    return jnp.stack([lon, lat, offset[0], offset[1]])
+
+
+def _angles(normal: Vector3) -> tuple[Scalar, Scalar]:
+    return jnp.arctan2(normal[2], jnp.hypot(normal[0], normal[1])), jnp.arctan2(normal[1], normal[0])
+
+
+def _places(fix: Fix, offsets: np.ndarray) -> np.ndarray:
+    """(latitude, longitude, height) (n, 3) of offsets from a fix; longitudes in rad within a half turn of it."""
+    grid = _level_grid(fix)
+    return _on(fix, offsets, grid)[:, :3]
+
+
+def _on(fix: Fix, offsets: np.ndarray, grid: AbstractGrid) -> np.ndarray:
+    """(latitude, longitude, height, row, col) (n, 5)."""
+    if not len(offsets):
+        return np.zeros((0, 5))
+    R = np.asarray(R_ecef_from_enu(fix.position))
+    found = _in_parts(_to_grid, offsets, R, np.asarray(fix.ecef), grid)
+    lon = float(np.asarray(fix.position.lon))
+    found[:, 1] = lon + np.remainder(found[:, 1] - lon + np.pi, 2.0 * np.pi) - np.pi
+    return found
+
+
+def _offsets(sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
+    """(offsets (n, 3) from the fix in m, numbers (n,)) of the samples with ground."""
+    if sampled.errors_enu is None:
+        raise ValueError("the samples themselves are needed, and were not kept: sample(..., keep=True) returns them.")
+    offsets = np.asarray(sampled.errors_enu) + np.asarray(sampled.centre_enu)
+    numbers = np.flatnonzero(np.isfinite(offsets).all(axis=1))
+    return offsets[numbers], numbers
+
+
+def _level_grid(fix: Fix) -> TangentGrid:
+    return TangentGrid.centred(fix.position, spacing=(1.0, 1.0), shape=(1, 1))
+
+
+def _on_grid(sampled: Sampled, dem: Any) -> tuple[_Samples, AbstractGrid]:
+    check_is(sampled, Sampled, "sampled", "Make them with jaxgeo.uncertainty.sample.")
+    if dem is not None:
+        check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
+    offsets, numbers = _offsets(sampled)
+    if len(numbers) < FEWEST:
+        raise ValueError(
+            f"a density on the ground needs {FEWEST} samples with ground or more; got {len(numbers)} of "
+            f"{sampled.count}. Draw more, or see why lines of sight find none: {_reasons(sampled)}."
+        )
+    terrain = dem if dem is not None else _origin(sampled, "terrain")
+    grid = terrain.grid if isinstance(terrain, Dem) else _level_grid(sampled.fix)
+    found = _on(sampled.fix, offsets, grid)
+    looking = _looking(sampled)
+    return _Samples(numbers, offsets, found[:, 3:], found[:, :3], sampled.count, sampled.scrambles, looking), grid
+
+
+def _reasons(sampled: Sampled) -> str:
+    return ", ".join(f"{status.name} {number}" for status, number in sampled.statuses.items())
+
+
+def _origin(sampled: Sampled, name: str) -> Any:
+    return None if sampled.origin is None else sampled.origin.value(name)
+
+
+def _looking(sampled: Sampled) -> np.ndarray | None:
+    """Direction (east, north) from the camera to the fix on the level plane; None if not known, or straight down."""
+    shot = _origin(sampled, "shot")
+    if not isinstance(shot, Shot):
+        return None
+    camera = np.asarray(WGS84.to_ecef(shot.pose.position))
+    towards = ((np.asarray(sampled.fix.ecef) - camera) @ np.asarray(R_ecef_from_enu(sampled.fix.position)))[:2]
+    length = float(np.linalg.norm(towards))
+    return towards / length if length > 1.0 else None
+
+
+# The caller's polygon.
+
+
+def _checked_polygon(polygon: Any) -> Any:
+    """The polygon or multipolygon. Raises `TypeError` for what is none, `ValueError` for one that cannot be used."""
+    import shapely
+
+    area = _geometry(polygon)
+    if area.geom_type not in ("Polygon", "MultiPolygon"):
+        raise ValueError(f"polygon must be a Polygon or a MultiPolygon; got a {area.geom_type}.")
+    if area.is_empty:
+        raise ValueError("the polygon is empty: it has no coordinates.")
+    west, south, east, north = area.bounds
+    if not all(map(math.isfinite, area.bounds)) or not area.is_valid:
+        raise ValueError(f"the polygon is not valid: {shapely.is_valid_reason(area)}. Try shapely.make_valid.")
+    if south < -90.0 or north > 90.0 or west < -360.0 or east > 360.0:
+        raise ValueError(
+            f"the polygon must be in degrees, (longitude, latitude) on WGS 84; its first coordinates go from {west:g} "
+            f"to {east:g}, its second ones from {south:g} to {north:g}. Exchange them if they are (latitude, "
+            f"longitude), and transform map coordinates with pyproj."
+        )
+    return area
+
+
+def _geometry(polygon: Any) -> Any:
+    import shapely
+
+    if isinstance(polygon, shapely.Geometry):
+        return polygon
+    polygon = getattr(polygon, "__geo_interface__", polygon)
+    if not isinstance(polygon, Mapping):
+        raise TypeError(f"polygon must be a shapely geometry or a GeoJSON mapping; got {type(polygon).__name__}.")
+    if polygon.get("type") == "Feature":
+        polygon = polygon.get("geometry")
+    try:
+        return shapely.geometry.shape(dict(polygon))  # pyright: ignore[reportOptionalIterable, reportCallIssue, reportArgumentType]
+    except Exception as error:  # shapely raises many kinds for wrong mappings
+        raise ValueError(f"the polygon is no GeoJSON geometry that shapely can read: {error}") from error
