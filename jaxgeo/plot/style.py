@@ -30,6 +30,7 @@ EDGE = INK  # edges of images
 TERRAIN = EARTH  # terrain in a profile
 SAMPLE, SAMPLED = SKY, BLUE  # sampled errors, and their statistics
 JUMPED = VERMILLION  # sampled errors on other ground
+REGION = GREEN  # highest-density regions
 LINEAR = (INK, ORANGE, PURPLE)  # linear propagation: over the facet, over the footprint, any other
 METHODS = ("#cfe6f6", GREEN, ORANGE)  # cheapest valid one: over the facet, over the footprint, samples
 HORIZONTAL, VERTICAL = BLUE, ORANGE  # variances

@@ -25,11 +25,11 @@ def place_words(mode: Any) -> str:
     """Where a piece lies from the fix."""
     if mode.holds_fix:
         return "around the fix"
-    words = [f"{length(mode.distance)} to the {COMPASS[round(mode.azimuth / (math.pi / 4.0)) % 8]}"]
+    words = [f"{length_words(mode.distance)} to the {COMPASS[round(mode.azimuth / (math.pi / 4.0)) % 8]}"]
     if mode.beside:
         words.append(BESIDE[mode.beside])
     if abs(mode.rise) >= max(LEVEL * mode.distance, 1.0):
-        words.append(f"{length(abs(mode.rise))} {'higher' if mode.rise > 0.0 else 'lower'}")
+        words.append(f"{length_words(abs(mode.rise))} {'higher' if mode.rise > 0.0 else 'lower'}")
     return ", ".join(words)
 
 
@@ -39,11 +39,11 @@ def region_words(region: Any) -> str:
     small = len(region.modes) - len(told)
     share = percent(region.probability)
     if len(region.modes) == 1:
-        said = [f"{share} in one area of {area(region.area)} {place_words(told[0])}."]
+        said = [f"{share} in one area of {area_words(region.area)} {place_words(told[0])}."]
     else:
         pieces = "; ".join(mode_words(mode) for mode in told)
         rest = f"; the rest in {small} small {'area' if small == 1 else 'areas'}" if small else ""
-        said = [f"{share} in {len(region.modes)} areas of {area(region.area)} in all: {pieces}{rest}."]
+        said = [f"{share} in {len(region.modes)} areas of {area_words(region.area)} in all: {pieces}{rest}."]
     lost = region.without_ground.value
     outside = f"{percent(region.outside.value)} outside"
     said.append(f"{outside}, {percent(lost)} of all without ground." if lost > 0.0 else f"{outside}.")
@@ -60,13 +60,13 @@ def percent(share: float) -> str:
     return f"{value:.0f} %"
 
 
-def length(metres: float) -> str:
+def length_words(metres: float) -> str:
     """A length with two significant digits, in m or km."""
     rounded = float(f"{metres:.2g}")
     return f"{rounded / 1000.0:g} km" if rounded >= 1000.0 else f"{rounded:g} m"
 
 
-def area(square_metres: float) -> str:
+def area_words(square_metres: float) -> str:
     """An area with two significant digits, in m², ha or km²."""
     for unit, size in (("km²", 1e6), ("ha", 1e4)):
         if square_metres >= size:

@@ -77,8 +77,8 @@ class Region:
     `polygon` is a shapely multipolygon in deg of longitude (within 180 deg of the fix) and latitude on WGS 84;
     `polygon_enu` the same in m east and north of the fix, `area` in m2 on its level plane. `cells` (m, 2) are the (row,
     col) of the centres of its cells on `grid`, with `cell_probability` (m,), from the densest to the thinnest. `modes`
-    are its connected pieces, the largest share first; `outside` is the share of the samples outside of it,
-    `without_ground` that of the samples without a fix, which are outside too. Intervals are at `confidence`.
+    are its connected pieces, the largest share first. `inside` and `outside` are the shares of the samples in it and
+    out of it, `without_ground` that of the samples without a fix, which are outside. Intervals are at `confidence`.
     """
 
     probability: float
@@ -90,6 +90,7 @@ class Region:
     cells: np.ndarray
     cell_probability: np.ndarray
     modes: tuple[Mode, ...]
+    inside: Share
     outside: Share
     without_ground: Share
     confidence: float
@@ -129,6 +130,40 @@ class ProbabilityMap:
         """Length in m of a cell along a column and along a row."""
         down, across = (self.size * self.post).tolist()
         return down, across
+
+    @property
+    def count(self) -> int:
+        """Number of samples, with and without a fix."""
+        return self._samples.count
+
+    def lonlat_deg(self, rowcol: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Longitudes (within 180 deg of the fix) and latitudes (m,) in deg of the centres of the cells.
+
+        Or of other places (m, 2) at (row, col) of the grid.
+        """
+        lon, lat = _Frame.of(self.fix, self.grid).places(self.cells if rowcol is None else rowcol)[:, :2].T
+        return lon, lat
+
+    def density_at(self, lon_deg: Any, lat_deg: Any) -> np.ndarray:
+        """Probability per m2 at longitudes and latitudes in deg, bilinear between the centres of cells.
+
+        Zero where no cell has a probability, and for coordinates that are not finite.
+        """
+        lon, lat = (np.radians(np.asarray(x, np.float64)) for x in np.broadcast_arrays(lon_deg, lat_deg))
+        known = np.isfinite(lon) & np.isfinite(lat)
+        lonlat = np.stack([lon[known], lat[known]], axis=-1)
+        density = np.zeros(lon.shape)
+        if len(lonlat):
+            rowcol = _in_parts(_rowcol_of, lonlat, self.grid)
+            place = (rowcol - self._density.corner) / self.size - 0.5
+            density[known] = scipy.ndimage.map_coordinates(self._whole(), place.T, order=1, cval=0.0)
+        return density / math.prod(self.cell_size)
+
+    def _whole(self) -> np.ndarray:
+        """Probabilities (rows, cols) of all cells about the samples."""
+        array = np.zeros(math.prod(self._density.shape))
+        array[self._density.index] = self.probability
+        return array.reshape(self._density.shape)
 
     def region(self, probability: float = 0.9) -> Region:
         """`Sampled.region` from this map: regions of several probabilities from one density, each within the next."""
@@ -244,6 +279,7 @@ def _region(found: ProbabilityMap, probability: float) -> Region:
         cells=found.cells[:count],
         cell_probability=found.probability[:count],
         modes=tuple(modes),
+        inside=_share(numbers, *how),
         outside=_share(np.flatnonzero(~known), *how),
         without_ground=_share(np.flatnonzero(without), *how),
         confidence=found.confidence,
@@ -373,6 +409,14 @@ def _from_grid(rowcol: jax.Array, R: jax.Array, p_ecef: Vector3, height: Scalar,
     lat, lon = _angles(normal)
     offset = R.T @ (surface_point(normal) + height * normal - p_ecef)
     return jnp.stack([lon, lat, offset[0], offset[1]])
+
+
+@quick_filter_jit
+@functools.partial(jax.vmap, in_axes=(0, None))
+def _rowcol_of(lonlat: jax.Array, grid: AbstractGrid) -> jax.Array:
+    """(row, col) of a longitude and latitude in rad."""
+    lon, lat = lonlat
+    return grid.rowcol(jnp.stack([jnp.cos(lat) * jnp.cos(lon), jnp.cos(lat) * jnp.sin(lon), jnp.sin(lat)]))
 
 
 def _angles(normal: Vector3) -> tuple[Scalar, Scalar]:
