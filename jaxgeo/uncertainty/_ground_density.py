@@ -59,11 +59,9 @@ def ground_density(rowcol: np.ndarray, post: np.ndarray) -> Cells:
     margin = np.ceil(REACH * widest * np.sqrt(np.diag(shape)) / side).astype(int)
     extent = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in number + 2 * margin)
     corner = corner - margin * size
-    cell = np.floor((rowcol - corner) / size).astype(int)
-    flat = cell[:, 0] * extent[1] + cell[:, 1]
-    density, own = _smoothed(flat, extent, side, shape, width)
-    at = density[flat] - own
-    return _calibrated(density, at, own, corner, size, extent)
+    place = (rowcol - corner) / size - 0.5
+    mass, variance = _smoothed(place, extent, side, shape, width)
+    return _calibrated(mass, *_at_samples(mass, place, side, shape, variance), corner, size)
 
 
 def _kernel_shape(points: np.ndarray) -> np.ndarray:
@@ -134,43 +132,56 @@ def _cells(
 
 
 def _smoothed(
-    flat: np.ndarray, extent: tuple[int, int], side: np.ndarray, shape: np.ndarray, width: np.ndarray
+    place: np.ndarray, extent: tuple[int, int], side: np.ndarray, shape: np.ndarray, width: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(mass of the kernels in each cell, each sample's own part of it at its cell)."""
-    count = len(flat)
+    """(mass of the kernels in each cell (rows, cols), squared bandwidth (n,) used for each sample).
+
+    `place` (n, 2) are the (row, col) of the samples, with centres of cells at whole numbers.
+    """
+    cell = np.round(place).astype(int)
+    flat = cell[:, 0] * extent[1] + cell[:, 1]
     row = scipy.fft.fftfreq(extent[0], side[0])[:, None]
     col = scipy.fft.rfftfreq(extent[1], side[1])[None, :]
     power = -2.0 * math.pi**2 * (shape[0, 0] * row**2 + 2.0 * shape[0, 1] * row * col + shape[1, 1] * col**2)
     least = PER_CELL * math.sqrt(_narrowest(shape, side))
-    group = np.round(2.0 * np.log2(np.maximum(width, least))).astype(int)
+    group = np.round(2.0 * np.log2(np.maximum(width, least))).astype(int)  # two for a factor of two
     total = np.zeros(power.shape, complex)
-    own = np.empty(count)
-    peak = float(np.prod(side)) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(shape))) * count)
     for number in np.unique(group):
-        which = group == number
-        counts = np.bincount(flat[which], minlength=extent[0] * extent[1]).reshape(extent)
-        wide = 2.0**number  # squared bandwidth: two groups for a factor of two
-        total += scipy.fft.rfft2(counts.astype(np.float64)) * np.exp(wide * power)
-        own[which] = peak / wide
-    mass = scipy.fft.irfft2(total, extent, overwrite_x=True).ravel() / count
-    return mass, own
+        counts = np.bincount(flat[group == number], minlength=math.prod(extent)).reshape(extent)
+        total += scipy.fft.rfft2(counts.astype(np.float64)) * np.exp(2.0**number * power)
+    return scipy.fft.irfft2(total, extent, overwrite_x=True) / len(place), 2.0**group
 
 
-def _calibrated(
-    mass: np.ndarray, at: np.ndarray, own: np.ndarray, corner: np.ndarray, size: np.ndarray, extent: tuple[int, int]
-) -> Cells:
-    least = float(own.min()) * math.exp(-0.5 * (REACH - 0.5) ** 2)
-    index = np.flatnonzero(mass > least)
-    index = index[np.argsort(mass[index])[::-1]]
-    density = mass[index]
+def _at_samples(
+    mass: np.ndarray, place: np.ndarray, side: np.ndarray, shape: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(density at each sample (n,) without its own kernel, interpolated as the outlines are; height of that kernel)."""
+    first = np.floor(place).astype(int)
+    share = place - first
+    centre = np.round(place) - first
+    inverse = np.linalg.inv(shape)
+    peak = math.prod(side.tolist()) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(shape))) * len(place)) / variance
+    at = np.zeros(len(place))
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        away = (np.array(corner) - centre) * side
+        own = peak * np.exp(-0.5 * np.einsum("ni,ij,nj->n", away, inverse, away) / variance)
+        weight = np.prod(np.where(corner, share, 1.0 - share), axis=1)
+        at += weight * (mass[first[:, 0] + corner[0], first[:, 1] + corner[1]] - own)
+    return at, peak
+
+
+def _calibrated(mass: np.ndarray, at: np.ndarray, peak: np.ndarray, corner: np.ndarray, size: np.ndarray) -> Cells:
+    """Cells with a probability: the mass of the kernels, scaled between levels to the share of samples above them."""
+    flat = mass.ravel()
+    index = np.flatnonzero(flat > float(peak.min()) * math.exp(-0.5 * (REACH - 0.5) ** 2))
+    index = index[np.argsort(flat[index])[::-1]]
+    density = flat[index]
     inside = np.cumsum(density)
-    share = np.arange(1, KNOTS) / KNOTS
-    share = np.concatenate([share, [0.995, 0.998, 0.999]])
-    level = np.quantile(at, 1.0 - share)
-    above = np.searchsorted(-density, -level, side="right")  # cells at or above the level
+    share = np.concatenate([np.arange(1, KNOTS) / KNOTS, [0.995, 0.998, 0.999]])
+    above = np.searchsorted(-density, -np.quantile(at, 1.0 - share), side="right")  # cells at or above the level
     kept = (above > 0) & (above < len(index))
     knot = np.concatenate([[0.0], inside[above[kept] - 1], inside[-1:]])
     at_knot = np.concatenate([[0.0], share[kept], [1.0]])
     knot, first = np.unique(knot, return_index=True)
     held = np.interp(inside, knot, at_knot[first])
-    return Cells(corner, size, extent, index, density, np.diff(held, prepend=0.0), at)
+    return Cells(corner, size, (mass.shape[0], mass.shape[1]), index, density, np.diff(held, prepend=0.0), at)

@@ -157,7 +157,7 @@ class ProbabilityMap:
             rowcol = _in_parts(_rowcol_of, lonlat, self.grid)
             place = (rowcol - self._density.corner) / self.size - 0.5
             density[known] = scipy.ndimage.map_coordinates(self._whole(), place.T, order=1, cval=0.0)
-        return density / math.prod(self.cell_size)
+        return np.asarray(density / math.prod(self.cell_size))
 
     def _whole(self) -> np.ndarray:
         """Probabilities (rows, cols) of all cells about the samples."""
