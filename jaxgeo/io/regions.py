@@ -13,6 +13,7 @@ import numpy as np
 import pyproj
 import shapely
 from rasterio.transform import Affine
+from scipy import ndimage
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
@@ -32,19 +33,20 @@ from jaxgeo.io.map_raster import (
     map_of,
     usual_crs,
 )
+from jaxgeo.io.mapping import FileMap
 from jaxgeo.io.ortho_writer import OrthoWriter
 from jaxgeo.uncertainty import Mode, ProbabilityMap, Region
 
 DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG", ".kml": "KML", ".kmz": "KMZ"}
 KIND = "highest-density region of samples, no ellipse"
 PIECE = "piece of a highest-density region of samples, no ellipse"
-POINTS = 2**20  # places of a raster that are looked up at a time
+POINTS = 2**20  # places that are looked up at a time
 ABOUT = "Each region is the smallest area that holds the truth with its probability, from samples; it is no ellipse."
 
 
 def write_region(
     path: str | os.PathLike[str],
-    regions: Region | Sequence[Region],
+    regions: Region | Sequence[Region] | Any,
     *,
     crs: Any = "EPSG:4326",
     attributes: Sequence[Mapping[str, Any]] | None = None,
@@ -157,7 +159,7 @@ def _kml(features: Sequence[Feature]) -> bytes:
 
 def write_probability_map(
     path: str | os.PathLike[str],
-    found: ProbabilityMap,
+    found: ProbabilityMap | Any,
     *,
     crs: Any = None,
     resolution: float | int | tuple[float | int, float | int] | None = None,
@@ -212,27 +214,34 @@ def _raster(name: str, found: ProbabilityMap, crs: Any, resolution: Any) -> MapR
 def _resampled(name: str, found: ProbabilityMap, raster: MapRaster) -> np.ndarray:
     """Probability (rows, cols): the mean density at places within each cell, scaled to the same sum."""
     mapping = map_of(name, raster)
-    rows, cols = raster.shape
-    metres = mapping_size(mapping, raster)
+    metres = _cell_metres(mapping, raster)
     parts = min(max(2, math.ceil(2.0 * max(metres) / min(found.cell_size))), 16)
-    inner = (np.arange(parts) + 0.5) / parts - 0.5
-    probability = np.zeros((rows, cols))
-    step = max(1, POINTS // (cols * parts**2))
-    for first in range(0, rows, step):
-        some = np.arange(first, min(first + step, rows))
-        row, col = np.meshgrid(
-            (some[:, None] + inner).ravel(), (np.arange(cols)[:, None] + inner).ravel(), indexing="ij"
-        )
-        lon, lat = mapping.lonlat(row.ravel(), col.ravel())
-        density = found.density_at(lon, lat).reshape(len(some), parts, cols, parts)
-        probability[some] = density.mean(axis=(1, 3))
+    inner = np.stack(np.meshgrid(*[(np.arange(parts) + 0.5) / parts - 0.5] * 2), axis=-1).reshape(-1, 2)
+    cells = np.argwhere(_near(found, mapping, raster, 1 + math.ceil(max(found.cell_size) / min(metres))))
+    probability = np.zeros(raster.shape)
+    step = max(1, POINTS // len(inner))
+    for first in range(0, len(cells), step):
+        some = cells[first : first + step]
+        row, col = (some[:, None] + inner).reshape(-1, 2).T
+        density = found.density_at(*mapping.lonlat(row, col)).reshape(len(some), -1)
+        probability[tuple(some.T)] = density.mean(axis=1)
     total = probability.sum()
     if not total > 0.0:
         raise ValueError(f"{name}: no cell has a probability; name a finer resolution= than {raster.transform.a:g}.")
     return probability * (found.found / total)
 
 
-def mapping_size(mapping: Any, raster: MapRaster) -> tuple[float, float]:
+def _near(found: ProbabilityMap, mapping: FileMap, raster: MapRaster, reach: int) -> np.ndarray:
+    """Whether a cell (rows, cols) is within `reach` cells of one with a probability."""
+    place = np.stack(mapping.rowcol(*found.lonlat_deg()), axis=-1)
+    place = np.round(place[np.isfinite(place).all(axis=1)]).astype(int)
+    place = place[((place >= 0) & (place < raster.shape)).all(axis=1)]
+    near = np.zeros(raster.shape, bool)
+    near[tuple(place.T)] = True
+    return ndimage.maximum_filter(near, 2 * reach + 1)
+
+
+def _cell_metres(mapping: FileMap, raster: MapRaster) -> tuple[float, float]:
     """Size of a raster's cell in m, (down, across), at its centre."""
     row, col = (n / 2.0 for n in raster.shape)
     lon, lat = mapping.lonlat(np.array([row, row + 1.0, row]), np.array([col, col, col + 1.0]))

@@ -43,7 +43,7 @@ def error_cloud(
     dem: Dem | None = None,
     propagations: Mapping[str, Propagation] | None = None,
     jumped: Any = None,
-    region: Region | None = None,
+    region: Region | Any = None,
     probability: float = 0.9,
     reach: float | None = None,
     legend: bool = True,

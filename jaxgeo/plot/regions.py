@@ -27,7 +27,7 @@ COLOURS = matplotlib.colors.LinearSegmentedColormap.from_list(
 
 
 def region_on_map(
-    region: Region | Sequence[Region],
+    region: Region | Sequence[Region] | Any,
     ax: Axes | None = None,
     *,
     shares: bool = True,
@@ -63,7 +63,7 @@ def draw_region(ax: Axes, region: Any, label: str = "") -> Any:
     return keyed(ax, label, area=True, **style)
 
 
-def probability_on_map(found: ProbabilityMap, ax: Axes | None = None, *, held: float = 0.999) -> Axes:
+def probability_on_map(found: ProbabilityMap | Any, ax: Axes | None = None, *, held: float = 0.999) -> Axes:
     """Probability per m² on a map, in degrees, on a logarithmic scale: the cells of the region of `held`.
 
     `colour_bar(ax, "probability per m²")` shows the colours. Raises `TypeError` for another object, `ValueError` for a

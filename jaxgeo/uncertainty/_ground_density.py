@@ -18,7 +18,7 @@ WIDEST = 4.0  # bandwidth over the median one
 REACH = 3.5  # bandwidths around a sample that have a probability
 PER_CELL = 1.25  # narrowest bandwidth in cells
 MOST_CELLS = 2**20
-KNOTS = 128  # levels at which the density is calibrated
+KNOTS = (*np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995, 0.998, 0.999)  # shares at whose levels it is calibrated
 
 
 class Cells(NamedTuple):
@@ -48,7 +48,7 @@ def ground_density(rowcol: np.ndarray, post: np.ndarray) -> Cells:
     shape of the covariance of near pairs of samples. Cells are the grid's own, divided so that the kernels span them.
 
     The probability of a level set is the share of samples whose density, without their own kernel, is above the level
-    (leave one out): the mass of the kernels is scaled between 128 levels to agree with it.
+    (leave one out): the mass of the kernels is scaled between 24 levels to agree with it.
     """
     points = rowcol * post
     shape = _kernel_shape(points)
@@ -177,7 +177,7 @@ def _calibrated(mass: np.ndarray, at: np.ndarray, peak: np.ndarray, corner: np.n
     index = index[np.argsort(flat[index])[::-1]]
     density = flat[index]
     inside = np.cumsum(density)
-    share = np.concatenate([np.arange(1, KNOTS) / KNOTS, [0.995, 0.998, 0.999]])
+    share = np.array(KNOTS)
     above = np.searchsorted(-density, -np.quantile(at, 1.0 - share), side="right")  # cells at or above the level
     kept = (above > 0) & (above < len(index))
     knot = np.concatenate([[0.0], inside[above[kept] - 1], inside[-1:]])

@@ -18,7 +18,7 @@ LEVEL = 0.05  # of the distance: smaller height differences are not worth a word
 
 def mode_words(mode: Any) -> str:
     """Share and place of a piece."""
-    return f"{percent(mode.share.value)} {place_words(mode)}"
+    return f"{percent(mode.share.value)} lie {place_words(mode)}"
 
 
 def place_words(mode: Any) -> str:

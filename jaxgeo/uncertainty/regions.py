@@ -65,7 +65,7 @@ class Mode:
 
     @property
     def words(self) -> str:
-        """Share and place, as "34 % 1.2 km to the north-east, farther from the camera, 85 m higher"."""
+        """Share and place, as "34 % lie 1.2 km to the north-east, farther from the camera, 85 m higher"."""
         return mode_words(self)
 
 

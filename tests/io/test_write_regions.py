@@ -139,7 +139,7 @@ def test_probability_map_sums_to_the_share_found_and_its_levels_are_regions(foun
         assert data.tags()["SAMPLES"] == "5250"
         to_lonlat = pyproj.Transformer.from_crs(data.crs.to_wkt(), "EPSG:4326", always_xy=True)
         row, col = np.nonzero(held.filled(1.0) <= 0.9)
-        lon, lat = to_lonlat.transform(*data.transform * (col + 0.5, row + 0.5))
+        lon, lat = to_lonlat.transform(*rasterio.transform.xy(data.transform, row, col))
         area = len(row) * abs(data.transform.a * data.transform.e)
     assert found.found == pytest.approx(5000 / 5250)
     assert probability.sum() == pytest.approx(found.found, rel=1e-5)

@@ -99,8 +99,8 @@ def test_two_hills_are_two_pieces_with_their_shares(hills, found) -> None:
     assert far.azimuth == pytest.approx(math.atan2(1000.0, 600.0), abs=1e-3)
     assert far.rise == pytest.approx(80.1, abs=0.2)  # the Earth's curvature adds 0.11 m
     assert region.words == (
-        f"90 % in 2 areas of {area_words(region.area)} in all: {percent(near.share.value)} around the fix; "
-        f"{percent(far.share.value)} 1.2 km to the north-east, 80 m higher. 10 % outside."
+        f"90 % in 2 areas of {area_words(region.area)} in all: {percent(near.share.value)} lie around the fix; "
+        f"{percent(far.share.value)} lie 1.2 km to the north-east, 80 m higher. 10 % outside."
     )
     whole = found.region(0.999)
     assert [mode.share.value for mode in whole.modes] == pytest.approx([SHARE, 1.0 - SHARE], abs=0.012)
