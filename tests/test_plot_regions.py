@@ -11,6 +11,7 @@ from matplotlib.patches import PathPatch
 
 from jaxgeo import plot
 from jaxgeo.plot import style
+from jaxgeo.plot.close_up import Posts, interpolated
 from tests.support.clouds import cloud, two_hills
 from tests.support.drawn import new_axes
 
@@ -88,3 +89,22 @@ def test_other_objects_are_refused(sampled, found) -> None:
         plot.probability_on_map(sampled)
     with pytest.raises(ValueError, match=r"held must lie in \(0, 1\]; got 0"):
         plot.probability_on_map(found, held=0.0)
+
+
+def test_a_close_up_interpolates_posts_and_keeps_voids(ax: Axes) -> None:
+    row, col = np.indices((40, 50), float)
+    height = 500.0 + 80.0 * np.sin(row / 5.0) * np.cos(col / 6.0)
+    height[20, 20] = np.nan
+    posts = Posts(10.0 + 1e-3 * col, 47.0 - 1e-3 * row, height)
+    assert interpolated(posts, ax) is posts, "no limits are set"
+    ax.set(xlim=(10.015, 10.030), ylim=(46.972, 46.985))
+    fine = interpolated(posts, ax)
+    finer = round(1e-3 / float(fine.lon[0, 1] - fine.lon[0, 0]))
+    assert finer > 4
+    at = {(round(lon, 6), round(lat, 6)): z for lon, lat, z in zip(*(leaf.ravel() for leaf in posts), strict=True)}
+    shown = [leaf[::finer, ::finer].ravel() for leaf in fine]
+    known = [(at[round(x, 6), round(y, 6)], z) for x, y, z in zip(*shown, strict=True)]
+    np.testing.assert_allclose(*np.array(known).T, atol=1.0)  # the filled void bends splines near it
+    assert np.count_nonzero(np.isnan(fine.height)) == (2 * finer - 1) ** 2
+    ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+    assert interpolated(posts, ax) is posts, "none of them is seen"

@@ -39,6 +39,9 @@ def interpolated(posts: Posts, ax: Axes) -> Posts:
     place = np.meshgrid(*(np.arange((n - 1) * finer + 1) / finer for n in part.height.shape), indexing="ij")
     void = np.isnan(part.height)
     filled = part._replace(height=np.where(void, np.nanmean(part.height) if not void.all() else 0.0, part.height))
-    lon, lat, height = (ndimage.map_coordinates(leaf, place, order=3, mode="mirror") for leaf in filled)
+    lon, lat, height = (
+        ndimage.map_coordinates(leaf, place, order=order, mode="mirror")
+        for leaf, order in zip(filled, (1, 1, 3), strict=True)
+    )
     is_void = ndimage.map_coordinates(void.astype(float), place, order=1) > 0.0
     return Posts(lon, lat, np.where(is_void, np.nan, height))
