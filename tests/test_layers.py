@@ -55,6 +55,7 @@ HEAVY = {"rasterio", "pyproj", "pyogrio", "shapely"}  # imported by io/ only
 HEAVY_ELSEWHERE = {  # imported on call
     "coverage/polygons.py": {"shapely"},
     "uncertainty/_level_sets.py": {"shapely"},
+    "uncertainty/_region_polygon.py": {"shapely"},
     "uncertainty/regions.py": {"shapely"},
 }
 

@@ -109,7 +109,7 @@ def _bandwidths(points: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
 
 def _narrowest(shape: np.ndarray, side: np.ndarray) -> float:
-    """Largest variance of a unit cell in units of the kernel's shape."""
+    """Largest squared length of a cell's side over the kernel's axis in its direction."""
     return float(np.max(np.linalg.eigvalsh(np.diag(side) @ np.linalg.inv(shape) @ np.diag(side))))
 
 
@@ -118,7 +118,6 @@ def _cells(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(corner, size, number) of the cells that hold all samples: posts divided, or joined, by whole numbers."""
     target = float(np.quantile(width, 0.1)) / PER_CELL
-    # extents of the narrow axis along rows and columns
     low, high = rowcol.min(axis=0), rowcol.max(axis=0)
     while True:
         parts = post / target

@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
 from jaxgeo._checks import check_is
-from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
-from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.fix import Fix
 from jaxgeo.sensor import Shot
-from jaxgeo.terrain import Dem, TangentGrid
-from jaxgeo.terrain.grid import AbstractGrid, surface_point
+from jaxgeo.terrain import Dem
+from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty._ground_density import Cells, ground_density
 from jaxgeo.uncertainty._level_sets import level_set
+from jaxgeo.uncertainty._region_frame import Frame, level_grid, on_grid, places_of, rowcol_of
+from jaxgeo.uncertainty._region_polygon import checked_polygon
 from jaxgeo.uncertainty._region_words import mode_words, region_words
 from jaxgeo.uncertainty.intervals import scrambled_interval
 from jaxgeo.uncertainty.sampled_record import Sampled
 
-BATCH = 4096  # points converted at a time
 FEWEST = 100  # samples with ground that a density needs
 BEYOND = 0.70  # cosine of 45 degrees: farther, nearer, left, right
 
@@ -141,7 +136,7 @@ class ProbabilityMap:
 
         Or of other places (m, 2) at (row, col) of the grid.
         """
-        lon, lat = _Frame.of(self.fix, self.grid).places(self.cells if rowcol is None else rowcol)[:, :2].T
+        lon, lat = Frame.of(self.fix, self.grid).places(self.cells if rowcol is None else rowcol)[:, :2].T
         return lon, lat
 
     def density_at(self, lon_deg: Any, lat_deg: Any) -> np.ndarray:
@@ -154,7 +149,7 @@ class ProbabilityMap:
         lonlat = np.stack([lon[known], lat[known]], axis=-1)
         density = np.zeros(lon.shape)
         if len(lonlat):
-            rowcol = _in_parts(_rowcol_of, lonlat, self.grid)
+            rowcol = rowcol_of(lonlat, self.grid)
             place = (rowcol - self._density.corner) / self.size - 0.5
             density[known] = scipy.ndimage.map_coordinates(self._whole(), place.T, order=1, cval=0.0)
         return np.asarray(density / math.prod(self.cell_size))
@@ -185,7 +180,7 @@ class _Samples(NamedTuple):
 def probability_map(sampled: Sampled, *, dem: Dem | None = None) -> ProbabilityMap:
     """`Sampled.probability_map`."""
     samples, grid = _on_grid(sampled, dem)
-    frame = _Frame.of(sampled.fix, grid)
+    frame = Frame.of(sampled.fix, grid)
     post = frame.post_size()
     density = ground_density(samples.rowcol, post)
     row, col = np.divmod(density.index, density.shape[1])
@@ -209,9 +204,9 @@ def probability_within(sampled: Sampled, polygon: Any) -> Share:
     """`Sampled.probability_within`."""
     import shapely  # polygon library, needed by these functions only
 
-    area = _checked_polygon(polygon)
+    area = checked_polygon(polygon)
     offsets, numbers = _offsets(sampled)
-    lon, lat = np.degrees(_places(sampled.fix, offsets)[:, [1, 0]]).T
+    lon, lat = np.degrees(places_of(sampled.fix, offsets)[:, [1, 0]]).T
     shapely.prepare(area)
     inside = np.zeros(len(lon), bool)
     for turn in (-360.0, 0.0, 360.0):
@@ -258,8 +253,9 @@ def _region(found: ProbabilityMap, probability: float) -> Region:
     shape = level_set(window, level)
     posts = shapely.transform(shape, lambda at: density.corner + (first + at + 0.5) * density.size)
     members = density.density_at > level
-    places = _Frame.of(found.fix, found.grid).places(shapely.get_coordinates(posts))
+    places = Frame.of(found.fix, found.grid).places(shapely.get_coordinates(posts))
     in_degrees, in_metres = (shapely.set_coordinates(shapely.MultiPolygon(posts), p) for p in np.hsplit(places, 2))
+    _check_no_jump(in_degrees)
     pieces = zip(posts.geoms, in_degrees.geoms, in_metres.geoms, strict=True)
     modes = [_mode(*piece, found, members) for piece in pieces]
     modes.sort(key=lambda mode: (-mode.share.value, -mode.area))
@@ -284,6 +280,17 @@ def _region(found: ProbabilityMap, probability: float) -> Region:
         without_ground=_share(np.flatnonzero(without), *how),
         confidence=found.confidence,
     )
+
+
+def _check_no_jump(polygon: Any) -> None:
+    """Raise `ValueError` if longitude jumps along a ring: about a pole."""
+    for part in polygon.geoms:
+        for ring in (part.exterior, *part.interiors):
+            if np.abs(np.diff(np.asarray(ring.coords)[:, 0])).max() > 180.0:
+                raise ValueError(
+                    "the region surrounds a pole, or reaches beyond it: no polygon in longitude and latitude holds it. "
+                    "Ask for a smaller probability, or use probability_map, whose cells are on the grid of the DEM."
+                )
 
 
 def _level(density: np.ndarray, count: int) -> float:
@@ -354,92 +361,6 @@ def _share(numbers: np.ndarray, count: int, confidence: float, scrambles: int) -
 # Samples on a grid.
 
 
-class _Frame(NamedTuple):
-    """A grid about a fix: maps of (row, col) (n, 2) to degrees, and to m on the level plane of the fix."""
-
-    grid: AbstractGrid
-    R: np.ndarray
-    p_ecef: np.ndarray
-    height: np.ndarray
-    lon_deg: float
-
-    @classmethod
-    def of(cls, fix: Fix, grid: AbstractGrid) -> _Frame:
-        R, height = np.asarray(R_ecef_from_enu(fix.position)), np.asarray(fix.position.height)
-        return cls(grid, R, np.asarray(fix.ecef), height, math.degrees(float(np.asarray(fix.position.lon))))
-
-    def places(self, rowcol: np.ndarray) -> np.ndarray:
-        """(longitude, latitude, east, north) (n, 4): deg, within 180 deg of the fix; m, at its height above WGS 84."""
-        found = _in_parts(_from_grid, rowcol, self.R, self.p_ecef, self.height, self.grid)
-        lon = np.degrees(found[:, 0]) - self.lon_deg
-        found[:, 0] = self.lon_deg + np.remainder(lon + 180.0, 360.0) - 180.0
-        found[:, 1] = np.degrees(found[:, 1])
-        return found
-
-    def post_size(self) -> np.ndarray:
-        """Length in m of a step in row and one in col, at the fix."""
-        at = _in_parts(_to_grid, np.zeros((1, 3)), self.R, self.p_ecef, self.grid)[0, 3:]
-        places = self.places(at + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))[:, 2:]
-        return np.linalg.norm(places[1:] - places[0], axis=1)
-
-
-def _in_parts(function: Any, points: np.ndarray, *common: Any) -> np.ndarray:
-    """A function of batches, of `BATCH` points at a time: one program serves any number."""
-    found = []
-    for first in range(0, len(points), BATCH):
-        part = points[first : first + BATCH]
-        filled = np.concatenate([part, np.repeat(part[-1:], BATCH - len(part), axis=0)])
-        found.append(np.asarray(function(filled, *common))[: len(part)])
-    return np.concatenate(found)
-
-
-@quick_filter_jit
-@functools.partial(jax.vmap, in_axes=(0, None, None, None))
-def _to_grid(offset: Vector3, R: jax.Array, p_ecef: Vector3, grid: AbstractGrid) -> jax.Array:
-    """(latitude, longitude, height, row, col) of a point at an offset (east, north, up) in m."""
-    normal, height = WGS84.normal_and_height(p_ecef + R @ offset)
-    return jnp.concatenate([jnp.stack([*_angles(normal), height]), grid.rowcol(normal)])
-
-
-@quick_filter_jit
-@functools.partial(jax.vmap, in_axes=(0, None, None, None, None))
-def _from_grid(rowcol: jax.Array, R: jax.Array, p_ecef: Vector3, height: Scalar, grid: AbstractGrid) -> jax.Array:
-    """(longitude, latitude, east, north) of a place at (row, col), at a height."""
-    normal = grid.normal(rowcol)
-    lat, lon = _angles(normal)
-    offset = R.T @ (surface_point(normal) + height * normal - p_ecef)
-    return jnp.stack([lon, lat, offset[0], offset[1]])
-
-
-@quick_filter_jit
-@functools.partial(jax.vmap, in_axes=(0, None))
-def _rowcol_of(lonlat: jax.Array, grid: AbstractGrid) -> jax.Array:
-    """(row, col) of a longitude and latitude in rad."""
-    lon, lat = lonlat
-    return grid.rowcol(jnp.stack([jnp.cos(lat) * jnp.cos(lon), jnp.cos(lat) * jnp.sin(lon), jnp.sin(lat)]))
-
-
-def _angles(normal: Vector3) -> tuple[Scalar, Scalar]:
-    return jnp.arctan2(normal[2], jnp.hypot(normal[0], normal[1])), jnp.arctan2(normal[1], normal[0])
-
-
-def _places(fix: Fix, offsets: np.ndarray) -> np.ndarray:
-    """(latitude, longitude, height) (n, 3) of offsets from a fix; longitudes in rad within a half turn of it."""
-    grid = _level_grid(fix)
-    return _on(fix, offsets, grid)[:, :3]
-
-
-def _on(fix: Fix, offsets: np.ndarray, grid: AbstractGrid) -> np.ndarray:
-    """(latitude, longitude, height, row, col) (n, 5)."""
-    if not len(offsets):
-        return np.zeros((0, 5))
-    R = np.asarray(R_ecef_from_enu(fix.position))
-    found = _in_parts(_to_grid, offsets, R, np.asarray(fix.ecef), grid)
-    lon = float(np.asarray(fix.position.lon))
-    found[:, 1] = lon + np.remainder(found[:, 1] - lon + np.pi, 2.0 * np.pi) - np.pi
-    return found
-
-
 def _offsets(sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
     """(offsets (n, 3) from the fix in m, numbers (n,)) of the samples with ground."""
     if sampled.errors_enu is None:
@@ -447,10 +368,6 @@ def _offsets(sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
     offsets = np.asarray(sampled.errors_enu) + np.asarray(sampled.centre_enu)
     numbers = np.flatnonzero(np.isfinite(offsets).all(axis=1))
     return offsets[numbers], numbers
-
-
-def _level_grid(fix: Fix) -> TangentGrid:
-    return TangentGrid.centred(fix.position, spacing=(1.0, 1.0), shape=(1, 1))
 
 
 def _on_grid(sampled: Sampled, dem: Any) -> tuple[_Samples, AbstractGrid]:
@@ -464,8 +381,8 @@ def _on_grid(sampled: Sampled, dem: Any) -> tuple[_Samples, AbstractGrid]:
             f"{sampled.count}. Draw more, or see why lines of sight find none: {_reasons(sampled)}."
         )
     terrain = dem if dem is not None else _origin(sampled, "terrain")
-    grid = terrain.grid if isinstance(terrain, Dem) else _level_grid(sampled.fix)
-    found = _on(sampled.fix, offsets, grid)
+    grid = terrain.grid if isinstance(terrain, Dem) else level_grid(sampled.fix)
+    found = on_grid(sampled.fix, offsets, grid)
     looking = _looking(sampled)
     return _Samples(numbers, offsets, found[:, 3:], found[:, :3], sampled.count, sampled.scrambles, looking), grid
 
@@ -487,43 +404,3 @@ def _looking(sampled: Sampled) -> np.ndarray | None:
     towards = ((np.asarray(sampled.fix.ecef) - camera) @ np.asarray(R_ecef_from_enu(sampled.fix.position)))[:2]
     length = float(np.linalg.norm(towards))
     return towards / length if length > 1.0 else None
-
-
-# The caller's polygon.
-
-
-def _checked_polygon(polygon: Any) -> Any:
-    """The polygon or multipolygon. Raises `TypeError` for what is none, `ValueError` for one that cannot be used."""
-    import shapely
-
-    area = _geometry(polygon)
-    if area.geom_type not in ("Polygon", "MultiPolygon"):
-        raise ValueError(f"polygon must be a Polygon or a MultiPolygon; got a {area.geom_type}.")
-    if area.is_empty:
-        raise ValueError("the polygon is empty: it has no coordinates.")
-    west, south, east, north = area.bounds
-    if not all(map(math.isfinite, area.bounds)) or not area.is_valid:
-        raise ValueError(f"the polygon is not valid: {shapely.is_valid_reason(area)}. Try shapely.make_valid.")
-    if south < -90.0 or north > 90.0 or west < -360.0 or east > 360.0:
-        raise ValueError(
-            f"the polygon must be in degrees, (longitude, latitude) on WGS 84; its first coordinates go from {west:g} "
-            f"to {east:g}, its second ones from {south:g} to {north:g}. Exchange them if they are (latitude, "
-            f"longitude), and transform map coordinates with pyproj."
-        )
-    return area
-
-
-def _geometry(polygon: Any) -> Any:
-    import shapely
-
-    if isinstance(polygon, shapely.Geometry):
-        return polygon
-    polygon = getattr(polygon, "__geo_interface__", polygon)
-    if not isinstance(polygon, Mapping):
-        raise TypeError(f"polygon must be a shapely geometry or a GeoJSON mapping; got {type(polygon).__name__}.")
-    if polygon.get("type") == "Feature":
-        polygon = polygon.get("geometry")
-    try:
-        return shapely.geometry.shape(dict(polygon))  # pyright: ignore[reportOptionalIterable, reportCallIssue, reportArgumentType]
-    except Exception as error:  # shapely raises many kinds for wrong mappings
-        raise ValueError(f"the polygon is no GeoJSON geometry that shapely can read: {error}") from error

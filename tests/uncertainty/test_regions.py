@@ -173,6 +173,13 @@ def test_date_line_does_not_tear_a_region() -> None:
     assert len(region.modes) == 1
 
 
+def test_a_region_about_a_pole_is_refused() -> None:
+    about = cloud(normal(2000, COVS["round"], seed=3), place=(89.99999, 0.0, 0.0))
+    with pytest.raises(ValueError, match="surrounds a pole"):
+        about.region(0.9)
+    assert about.probability_map().probability.sum() == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("points", [np.zeros((200, 2)), np.linspace([0.0, 0.0], [90.0, 40.0], 500)])
 def test_clouds_without_a_width_have_a_region(points: np.ndarray) -> None:
     region = cloud(points).region(0.9)
