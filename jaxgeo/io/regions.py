@@ -172,7 +172,8 @@ def write_probability_map(
     probability are NaN, the nodata value. The tags state the kind, the sum, and the number of samples.
 
     - `crs`: anything pyproj takes; by default the UTM zone, or UPS, of the fix.
-    - `resolution`: cell size, or (across, down), in the unit of that CRS; by default that of the map's cells.
+    - `resolution`: cell size, or (across, down), in the unit of that CRS; by default that of the map's cells, or
+      coarser if samples lie far apart.
 
     Returns the raster. Raises `TypeError` for another object, `ValueError` for an unusable path, CRS or resolution, and
     for more than four million cells; `OSError` where writing fails.
@@ -202,6 +203,8 @@ def _raster(name: str, found: ProbabilityMap, crs: Any, resolution: Any) -> MapR
     if resolution is None:
         size = math.sqrt(math.prod(found.cell_size))
         across, down = in_unit(Spacing(size, "size of a cell", MOST_CELLS, 2), flat, edges)
+        coarser = 1.1 * math.sqrt((east - west) / across * ((north - south) / down) / MOST_CELLS)
+        across, down = (x * max(1.0, coarser) for x in (across, down))
     else:
         across, down = checked_resolution(name, resolution)
     west, north = across * (math.floor(west / across) - 1), down * (math.ceil(north / down) + 1)

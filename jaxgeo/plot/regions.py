@@ -20,6 +20,7 @@ from jaxgeo.uncertainty import ProbabilityMap, Region
 
 FILLED = 0.35  # opacity of the smallest region
 TOLD = 0.01  # share of the samples; smaller pieces have no label
+MOST_CELLS = 2**23  # drawn
 MARGIN = 0.35  # of the extent, about a region on empty axes
 COLOURS = matplotlib.colors.LinearSegmentedColormap.from_list(
     "probability", ["#fff3c4", "#fdbb63", "#ee6f37", "#b8234a", "#5c1150"]
@@ -67,7 +68,7 @@ def probability_on_map(found: ProbabilityMap | Any, ax: Axes | None = None, *, h
     """Probability per m² on a map, in degrees, on a logarithmic scale: the cells of the region of `held`.
 
     `colour_bar(ax, "probability per m²")` shows the colours. Raises `TypeError` for another object, `ValueError` for a
-    share outside (0, 1].
+    share outside (0, 1], and for cells far apart.
     """
     check_is(found, ProbabilityMap, "found", "Make it with Sampled.probability_map.")
     if not 0.0 < held <= 1.0:
@@ -75,6 +76,8 @@ def probability_on_map(found: ProbabilityMap | Any, ax: Axes | None = None, *, h
     count = min(int(np.searchsorted(np.cumsum(found.probability), held * found.found)) + 1, len(found.probability))
     rowcol = np.round(found.cells[:count] / found.size - 0.5).astype(int)
     first, last = rowcol.min(axis=0), rowcol.max(axis=0)
+    if math.prod((last - first + 1).tolist()) > MOST_CELLS:
+        raise ValueError(f"the cells of {percent(held)} lie too far apart to be drawn at once; name a smaller held=.")
     cells = np.full(last - first + 1, np.nan)
     cells[tuple((rowcol - first).T)] = found.probability[:count] / math.prod(found.cell_size)
     corners = np.stack(np.meshgrid(*(np.arange(a, b + 2) for a, b in zip(first, last, strict=True)), indexing="ij"), -1)

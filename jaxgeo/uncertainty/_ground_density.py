@@ -24,18 +24,35 @@ KNOTS = (*np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995, 0.998, 0.999)  # sha
 class Cells(NamedTuple):
     """Probability of square or rectangular cells, from the densest to the thinnest.
 
-    `corner` (row, col) of the first cell's corner, `size` of a cell (rows, cols), both in posts of the DEM's grid, and
-    the `shape` of the array of cells. `index` (m,) are flat positions in it, `density` (m,) is falling, `probability`
-    (m,) sums to one. `density_at` (n,) is the density at each sample without its own part.
+    Cells are rows and columns of a lattice with a `corner` (row, col) and a `size` (rows, cols) in posts of the DEM's
+    grid. An array has those numbered `lines`, a row of numbers for its rows and one for its columns: the lattice
+    without gaps between samples far apart. `index` (m,) are flat positions in the array, `density` (m,) is falling,
+    `probability` (m,) sums to one. `density_at` (n,) is the density at each sample without its own part.
     """
 
     corner: np.ndarray
     size: np.ndarray
-    shape: tuple[int, int]
+    lines: tuple[np.ndarray, np.ndarray]
     index: np.ndarray
     density: np.ndarray
     probability: np.ndarray
     density_at: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of the array."""
+        return len(self.lines[0]), len(self.lines[1])
+
+    def rowcol(self, place: np.ndarray) -> np.ndarray:
+        """(row, col) (n, 2) on the grid of places in the array, where centres of cells are at whole numbers."""
+        first = np.clip(np.floor(place).astype(int), 0, np.array(self.shape) - 1)
+        lines = np.stack([line[one] for line, one in zip(self.lines, first.T, strict=True)], axis=1)
+        return self.corner + (lines + (place - first) + 0.5) * self.size
+
+    def place(self, rowcol: np.ndarray) -> np.ndarray:
+        """Places (n, 2) in the array of (row, col) on the grid; far outside of it in a gap."""
+        lattice = (rowcol - self.corner) / self.size - 0.5
+        return _in_array(lattice, self.lines)
 
 
 def ground_density(rowcol: np.ndarray, post: np.ndarray) -> Cells:
@@ -53,15 +70,11 @@ def ground_density(rowcol: np.ndarray, post: np.ndarray) -> Cells:
     points = rowcol * post
     shape = _kernel_shape(points)
     width = _bandwidths(points, shape)
-    corner, size, number = _cells(rowcol, post, shape, width)
-    side = size * post
-    widest = max(float(width.max()), PER_CELL * math.sqrt(float(_narrowest(shape, side))))
-    margin = np.ceil(REACH * widest * np.sqrt(np.diag(shape)) / side).astype(int)
-    extent = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in number + 2 * margin)
-    corner = corner - margin * size
-    place = (rowcol - corner) / size - 0.5
+    corner, size, lines = _lattice(rowcol, post, shape, width)
+    place = _in_array((rowcol - corner) / size - 0.5, lines)
+    side, extent = size * post, (len(lines[0]), len(lines[1]))
     mass, variance = _smoothed(place, extent, side, shape, width)
-    return _calibrated(mass, *_at_samples(mass, place, side, shape, variance), corner, size)
+    return _calibrated(mass, *_at_samples(mass, place, side, shape, variance), corner, size, lines)
 
 
 def _kernel_shape(points: np.ndarray) -> np.ndarray:
@@ -113,21 +126,47 @@ def _narrowest(shape: np.ndarray, side: np.ndarray) -> float:
     return float(np.max(np.linalg.eigvalsh(np.diag(side) @ np.linalg.inv(shape) @ np.diag(side))))
 
 
-def _cells(
+def _lattice(
     rowcol: np.ndarray, post: np.ndarray, shape: np.ndarray, width: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(corner, size, number) of the cells that hold all samples: posts divided, or joined, by whole numbers."""
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """(corner, size, lines) of the cells about all samples: posts divided, or joined, by whole numbers.
+
+    As small as the narrower kernels need, or larger so that an array holds at most `MOST_CELLS`.
+    """
     target = float(np.quantile(width, 0.1)) / PER_CELL
-    low, high = rowcol.min(axis=0), rowcol.max(axis=0)
+    low = rowcol.min(axis=0)
     while True:
         parts = post / target
         size = np.where(parts >= 1.0, 1.0 / np.ceil(parts), np.floor(1.0 / np.minimum(parts, 1.0)))
+        widest = max(float(width.max()), PER_CELL * math.sqrt(_narrowest(shape, size * post)))
+        margin = np.ceil(REACH * widest * np.sqrt(np.diag(shape)) / (size * post)).astype(int)
         corner = np.floor(low / size) * size
-        number = np.floor((high - corner) / size).astype(int) + 1
-        most = float(np.prod(number + 2.0 * REACH * width.max() * np.sqrt(np.diag(shape)) / (size * post)))
-        if most <= MOST_CELLS:
-            return corner, size, number
-        target *= max(math.sqrt(most / MOST_CELLS), 1.05)
+        cell = np.floor((rowcol - corner) / size).astype(int)
+        first, second = (_lines(numbers, int(more)) for numbers, more in zip(cell.T, margin, strict=True))
+        cells = float(len(first)) * len(second)
+        if cells <= MOST_CELLS:
+            return corner, size, (first, second)
+        target *= max(math.sqrt(cells / MOST_CELLS), 1.05)
+
+
+def _lines(numbers: np.ndarray, margin: int) -> np.ndarray:
+    """All numbers within a margin of given ones, and some more, so that Fourier transforms are quick."""
+    own = np.unique(numbers)
+    breaks = np.flatnonzero(np.diff(own) > 2 * margin + 1)
+    starts, ends = own[np.append(0, breaks + 1)] - margin, own[np.append(breaks, len(own) - 1)] + margin
+    lines = np.concatenate([np.arange(start, end + 1) for start, end in zip(starts, ends, strict=True)])
+    more = scipy.fft.next_fast_len(len(lines), real=True) - len(lines)
+    return np.concatenate([lines, lines[-1] + 1 + np.arange(more)])
+
+
+def _in_array(lattice: np.ndarray, lines: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Places in an array of some lines of a lattice; far outside of it in a gap."""
+    first = np.floor(lattice).astype(int)
+    places = []
+    for line, number, at in zip(lines, first.T, lattice.T, strict=True):
+        index = np.minimum(np.searchsorted(line, number), len(line) - 1)
+        places.append(np.where(line[index] == number, index + (at - number), -10.0))
+    return np.stack(places, axis=1)
 
 
 def _smoothed(
@@ -169,7 +208,14 @@ def _at_samples(
     return at, peak
 
 
-def _calibrated(mass: np.ndarray, at: np.ndarray, peak: np.ndarray, corner: np.ndarray, size: np.ndarray) -> Cells:
+def _calibrated(
+    mass: np.ndarray,
+    at: np.ndarray,
+    peak: np.ndarray,
+    corner: np.ndarray,
+    size: np.ndarray,
+    lines: tuple[np.ndarray, np.ndarray],
+) -> Cells:
     """Cells with a probability: the mass of the kernels, scaled between levels to the share of samples above them."""
     flat = mass.ravel()
     index = np.flatnonzero(flat > float(peak.min()) * math.exp(-0.5 * (REACH - 0.5) ** 2))
@@ -183,4 +229,4 @@ def _calibrated(mass: np.ndarray, at: np.ndarray, peak: np.ndarray, corner: np.n
     at_knot = np.concatenate([[0.0], share[kept], [1.0]])
     knot, first = np.unique(knot, return_index=True)
     held = np.interp(inside, knot, at_knot[first])
-    return Cells(corner, size, (mass.shape[0], mass.shape[1]), index, density, np.diff(held, prepend=0.0), at)
+    return Cells(corner, size, lines, index, density, np.diff(held, prepend=0.0), at)

@@ -150,8 +150,9 @@ class ProbabilityMap:
         density = np.zeros(lon.shape)
         if len(lonlat):
             rowcol = rowcol_of(lonlat, self.grid)
-            place = (rowcol - self._density.corner) / self.size - 0.5
-            density[known] = scipy.ndimage.map_coordinates(self._whole(), place.T, order=1, cval=0.0)
+            density[known] = scipy.ndimage.map_coordinates(
+                self._whole(), self._density.place(rowcol).T, order=1, cval=0.0
+            )
         return np.asarray(density / math.prod(self.cell_size))
 
     def _whole(self) -> np.ndarray:
@@ -183,8 +184,7 @@ def probability_map(sampled: Sampled, *, dem: Dem | None = None) -> ProbabilityM
     frame = Frame.of(sampled.fix, grid)
     post = frame.post_size()
     density = ground_density(samples.rowcol, post)
-    row, col = np.divmod(density.index, density.shape[1])
-    cells = density.corner + (np.stack([row, col], axis=1) + 0.5) * density.size
+    cells = density.rowcol(np.stack(np.divmod(density.index, density.shape[1]), axis=1).astype(float))
     found = len(samples.numbers) / samples.count
     return ProbabilityMap(
         fix=sampled.fix,
@@ -251,7 +251,7 @@ def _region(found: ProbabilityMap, probability: float) -> Region:
     near = (row >= first[0]) & (row < last[0]) & (col >= first[1]) & (col < last[1])
     window[row[near] - first[0], col[near] - first[1]] = density.density[near]
     shape = level_set(window, level)
-    posts = shapely.transform(shape, lambda at: density.corner + (first + at + 0.5) * density.size)
+    posts = shapely.transform(shape, lambda at: density.rowcol(first + at))
     members = density.density_at > level
     places = Frame.of(found.fix, found.grid).places(shapely.get_coordinates(posts))
     in_degrees, in_metres = (shapely.set_coordinates(shapely.MultiPolygon(posts), p) for p in np.hsplit(places, 2))

@@ -180,6 +180,14 @@ def test_a_region_about_a_pole_is_refused() -> None:
     assert about.probability_map().probability.sum() == pytest.approx(1.0)
 
 
+def test_samples_far_away_do_not_make_cells_coarse() -> None:
+    points = normal(COUNT, COVS["tight"], seed=3)
+    points[:40] += np.random.default_rng(2).uniform(-60_000.0, 60_000.0, (40, 2))
+    region = cloud(points).region(0.9)
+    assert region.area == pytest.approx(math.pi * chdtri(2, 0.1) * 0.04, rel=0.05)
+    assert content(region, normal(100_000, COVS["tight"], seed=4)) == pytest.approx(0.9, abs=0.012)
+
+
 @pytest.mark.parametrize("points", [np.zeros((200, 2)), np.linspace([0.0, 0.0], [90.0, 40.0], 500)])
 def test_clouds_without_a_width_have_a_region(points: np.ndarray) -> None:
     region = cloud(points).region(0.9)
