@@ -148,7 +148,7 @@ class Sampled(Record):
         outside, so that the probability is one of all samples; regions of larger probabilities contain smaller ones.
         Hyndman 1996, "Computing and graphing highest density regions".
 
-        Of 20,000 samples a 90 % region holds 89.2 to 90.7 % of fresh ones. Raises `ValueError` for a probability
+        Of 20,000 samples a 90 % region holds 89.1 to 90.8 % of fresh ones. Raises `ValueError` for a probability
         outside (0, 1) or above the share of samples with a fix, for samples that were not kept (`keep=True`), for fewer
         than 100 samples with a fix, and for a region about a pole; `TypeError` for a `dem` that is none.
         """
