@@ -52,7 +52,12 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
 }
 
 HEAVY = {"rasterio", "pyproj", "pyogrio", "shapely"}  # imported by io/ only
-HEAVY_ELSEWHERE = {"coverage/polygons.py": {"shapely"}}  # imported on call
+HEAVY_ELSEWHERE = {  # imported on call
+    "coverage/polygons.py": {"shapely"},
+    "uncertainty/_level_sets.py": {"shapely"},
+    "uncertainty/_region_polygon.py": {"shapely"},
+    "uncertainty/regions.py": {"shapely"},
+}
 
 # Functions whose NumPy calls in jitted code see no traced values, though the search cannot tell.
 STATIC_NUMPY = {

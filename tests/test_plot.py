@@ -19,7 +19,8 @@ from matplotlib.text import Text
 
 from jaxgeo import plot
 from jaxgeo.plot.style import COLUMN, PAGE, style
-from tests.support import drawn
+from jaxgeo.uncertainty import Sampled
+from tests.support import clouds, drawn
 from tests.support.drawn import new_axes
 
 CAMERA = drawn.Geodetic.from_degrees(lat=44.0, lon=5.0, height=3000.0)
@@ -32,6 +33,10 @@ def with_places(draw: Callable[[Axes], Any]) -> Callable[[Axes | None], Axes]:
         return draw(plot.map_axes(drawn.north_up(), ax))
 
     return drawn_on
+
+
+def two_hills() -> Sampled:
+    return clouds.cloud(clouds.two_hills(1000, seed=1))
 
 
 def with_legend(ax: Axes | None) -> Axes:
@@ -66,6 +71,8 @@ DRAWINGS: dict[str, Callable[[Axes | None], Axes]] = {
     "method_map": lambda ax: plot.method_map(drawn.accuracies(), ax),
     "north_arrow": with_places(plot.north_arrow),
     "overlap_along": lambda ax: plot.overlap_along(drawn.overlaps([[-0.05, 0.1, 0.2]]), ax, required=0.15),
+    "probability_on_map": lambda ax: plot.probability_on_map(two_hills().probability_map(), ax),
+    "region_on_map": lambda ax: plot.region_on_map(two_hills().region(0.9), ax),
     "residual_arrows": lambda ax: plot.residual_arrows(drawn.adjusted(), ax),
     "residual_histogram": lambda ax: plot.residual_histogram(drawn.adjusted(), ax, checked=drawn.judged(wrong=(4, 9))),
     "scale_bar": with_places(plot.scale_bar),

@@ -57,6 +57,8 @@ TOGETHER = (  # colours that one figure has beside each other
     (style.BLUE, style.VERMILLION, style.EARTH),
     (style.SKY, style.BLUE, style.INK, style.VERMILLION),
     (style.SAMPLE, style.SAMPLED, *style.LINEAR),
+    (style.SAMPLE, style.SAMPLED, *style.LINEAR, style.REGION),
+    (style.REGION, style.HIDDEN, style.FIX, style.SIGHT, style.EARTH),
     (*style.METHODS, style.HIDDEN),
     (style.HORIZONTAL, style.VERTICAL),
     (style.FIX, style.SIGHT, style.EDGE),

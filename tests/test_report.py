@@ -118,9 +118,9 @@ def test_budget_and_samples_are_told_as_json_and_on_the_page(told: dict, page: s
         assert sum(source["variance_m2"]["horizontal"] for source in budget["sources"]) == pytest.approx(whole)
         assert samples["count"] == 20_000
         share = samples["within"]
-        assert share["low"] < share["estimate"] < share["high"]
-        assert share["estimate"] == pytest.approx(0.9, abs=0.03)
-        assert f"{100.0 * share['estimate']:.1f} % of {say.count(20_000)} samples lie within this CE90" in text
+        assert share["low"] < share["value"] < share["high"]
+        assert share["value"] == pytest.approx(0.9, abs=0.03)
+        assert f"{100.0 * share['value']:.1f} % of {say.count(20_000)} samples lie within this CE90" in text
         largest = max((s for source in budget["sources"] for s in source["sigmas"]), key=_level_variance)
         assert largest["name"] in text
         assert f"{100.0 * _level_variance(largest) / whole:.1f}" in text

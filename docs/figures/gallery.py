@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxgeo import plot
+from jaxgeo.io import example_dem
 
 NARROW = 5.0  # inches, below which drawings stand under each other
 
@@ -44,6 +45,24 @@ def a_map(figure: Figure) -> None:
     plot.scale_bar(ax)
     plot.north_arrow(ax, anchor=(0.05, 0.88))
     plot.legend(ax)
+
+
+def regions(figure: Figure) -> None:
+    found = records.two_hills()
+    several = [found.region(probability) for probability in (0.5, 0.9, 0.99)]
+    west, south, east, north = several[-1].polygon.bounds
+    left, right = pair(figure)
+    for ax, title in ((left, "Regions of the truth"), (right, "Probability of the truth")):
+        ax.set(xlim=(west - 0.0012, east + 0.0012), ylim=(south - 0.0016, north + 0.0016), title=title)
+        plot.hillshade(example_dem(), ax)
+    plot.region_on_map(several, left)
+    plot.probability_on_map(found, right)
+    plot.colour_bar(right, "probability per m²")
+    for ax in (left, right):
+        plot.fixes(found.fix, ax, label="fix")
+        plot.legend(ax)
+    plot.scale_bar(left, anchor=(0.7, 0.05))
+    plot.north_arrow(left, anchor=(0.06, 0.88))
 
 
 def errors_on_map(figure: Figure) -> None:
@@ -149,6 +168,7 @@ FIGURES = {
         0.6,
         1.5,
     ),
+    "regions": Drawing(regions, 0.4, 1.45),
     "budget": Drawing(lambda figure: plot.budget_bars(records.demo().errors.budget, figure.add_subplot()), 0.55, 0.95),
     "accuracy": Drawing(accuracy, 0.47, 1.9),
     "sight_section": Drawing(sight_section, 0.42, 1.3),

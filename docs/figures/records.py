@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import scipy
 
@@ -58,6 +59,25 @@ def clouds() -> list[un.Comparison]:
     sensor, shot, dem, errors = demo_errors()
     sampling = un.Sampling(count=20_000, chunk=20_000)
     return [un.compare(sensor, shot, demo().uv[k], dem, errors, sampling=sampling) for k in CLOUDED]
+
+
+@cache
+def two_hills() -> un.ProbabilityMap:
+    """A line of sight that may come down on two hills."""
+    camera = FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, width=2400, height=4800)
+    sensor = Sensor(camera, Gimbal.two_axis(), Mount.nadir())
+    pose = Pose.from_degrees(lat=36.318, lon=-84.105, height=5469.0, heading=160.0)
+    shot = Shot(pose, sensor.gimbal.readings_from_degrees(outer=72.0, inner=0.0))
+    errors = un.ErrorModel(
+        (
+            sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.02),
+            sources.GimbalAngles.from_degrees(outer=0.02, inner=0.02),
+            sources.Position.from_ned(north=1.5, east=1.5, down=3.0),
+            sources.TerrainHeight.from_metres(5.0),
+        )
+    )
+    options = {"key": jax.random.key(1), "count": 20_000, "keep": True}
+    return un.sample(sensor, shot, (1062.0, 2348.0), example_dem(), errors, **options).probability_map()
 
 
 @cache

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
     from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
     from jaxgeo.io.rectified import RectifiedFile, rectify_file
+    from jaxgeo.io.regions import write_probability_map, write_region
     from jaxgeo.io.scene_writer import write_updated_scene
     from jaxgeo.io.tie_points import TieRow, write_tie_points
 
@@ -103,6 +104,8 @@ __all__ = [
     "write_image_points",
     "write_orientations",
     "write_orthoimage",
+    "write_probability_map",
+    "write_region",
     "write_tie_points",
     "write_updated_scene",
 ]
@@ -136,6 +139,7 @@ _NAMES_OF = {
     "ortho_writer": "OrthoWriter write_orthoimage",
     "orthoimages": "OrthoimageReport read_orthoimage read_orthoimage_and_report",
     "rectified": "RectifiedFile rectify_file",
+    "regions": "write_probability_map write_region",
     "scene_writer": "write_updated_scene",
     "tie_points": "TieRow write_tie_points",
 }

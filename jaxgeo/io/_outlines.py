@@ -51,6 +51,11 @@ def runs(labels: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
             yield int(labels[start]), (start + np.arange(length + 1)) % count
 
 
+def within_a_turn(area: BaseGeometry, turn: float) -> BaseGeometry:
+    """Polygons cut at the seam of longitudes and shifted to within half a `turn` of the prime meridian."""
+    return _of_kind("Polygon", _within_a_turn(area, turn))
+
+
 def _unwound(ring: np.ndarray, turn: float) -> np.ndarray:
     """A ring without longitude jumps; one around a pole goes to it and back along the meridian."""
     x = np.unwrap(ring[:, 0], period=turn)

@@ -88,7 +88,7 @@ def write_footprints(
     extra = _checked_attributes(target, attributes, len(footprints))
     with destination("footprints", target, binary=True) as stream:
         seen = [_seen(footprint) for footprint in footprints]
-        chart = _checked_map(target, crs, driver, seen)
+        chart = checked_map(target, crs, driver, seen)
         features: list[Feature] = []
         for index, one in enumerate(seen):
             places = _on_map(target, chart, index, one)
@@ -106,7 +106,7 @@ def check_footprint_file(
     """Raises as `write_footprints` would for this name, CRS and attributes, before the footprints are computed."""
     target = pathlib.Path(path)
     _checked_attributes(target, attributes, count)
-    _checked_map(target, crs, _driver(target), [])
+    checked_map(target, crs, _driver(target))
 
 
 def _seen(footprint: Footprint) -> _Seen:
@@ -155,7 +155,8 @@ def _checked_attributes(target: pathlib.Path, attributes: Any, count: int) -> li
     return given
 
 
-def _checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_Seen]) -> _Map:
+def checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_Seen] = ()) -> _Map:
+    """The caller's CRS and its transformation, about footprints. Raises `ValueError` as `write_footprints`."""
     try:
         known = known_crs(crs)
     except UNKNOWN_CRS as error:

@@ -92,14 +92,14 @@ def raster_of(
     if asked is not None:
         _operation(name, asked, None)
     edges = None if bounds is None else _checked_bounds(name, bounds)
-    size = None if resolution is None else _checked_resolution(name, resolution)
+    size = None if resolution is None else checked_resolution(name, resolution)
     usual = terrain_spacing(name, terrain) if size is None and spacing is None else None
     area = _area(name, sensor, shot, terrain, how) if edges is None else None
-    flat = _usual_crs(*_middle(area)) if asked is None else asked
-    edges = _bounds_of(name, flat, area) if edges is None else edges
+    flat = usual_crs(*_middle(area)) if asked is None else asked
+    edges = bounds_of(name, flat, area) if edges is None else edges
     if size is None:
         usual = spacing() if spacing is not None else usual
-        size = _in_unit(usual, flat, edges)  # pyright: ignore[reportArgumentType]
+        size = in_unit(usual, flat, edges)  # pyright: ignore[reportArgumentType]
     (west, south, east, north), (across, down) = edges, size
     if usual is None:
         _check_resolution_is_not_too_fine(name, resolution, (north - south) / down, (east - west) / across)
@@ -280,7 +280,7 @@ def _middle(area: tuple[np.ndarray, np.ndarray] | None) -> tuple[float, float]:
     return float((lon + 180.0) % 360.0 - 180.0), float(lat)
 
 
-def _usual_crs(lon: float, lat: float) -> pyproj.CRS:
+def usual_crs(lon: float, lat: float) -> pyproj.CRS:
     """UTM on WGS 84, without the exceptions of Norway and Spitsbergen; UPS about the poles."""
     if not -80.0 <= lat <= 84.0:
         return pyproj.CRS.from_epsg(5041 if lat > 0.0 else 5042)
@@ -298,7 +298,8 @@ def _checked_bounds(name: str, bounds: Any) -> tuple[float, float, float, float]
     return west, south, east, north
 
 
-def _checked_resolution(name: str, resolution: Any) -> tuple[float, float]:
+def checked_resolution(name: str, resolution: Any) -> tuple[float, float]:
+    """A cell size as (across, down). Raises `ValueError` unless it is positive and finite."""
     try:
         across, down = (float(x) for x in np.broadcast_to(resolution, 2))
     except (TypeError, ValueError) as error:
@@ -318,7 +319,7 @@ def _check_resolution_is_not_too_fine(name: str, resolution: Any, rows: float, c
         )
 
 
-def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, float, float]:
+def bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, float, float]:
     """(west, south, east, north) in a CRS of an area in deg, slightly enlarged."""
     lon, lat = area
     turned = (lon + 180.0) % 360.0 - 180.0
@@ -346,7 +347,7 @@ def _operation(name: str, crs: pyproj.CRS, area: tuple[float, float, float, floa
         ) from error
 
 
-def _in_unit(usual: Spacing, crs: pyproj.CRS, edges: tuple[float, float, float, float]) -> tuple[float, float]:
+def in_unit(usual: Spacing, crs: pyproj.CRS, edges: tuple[float, float, float, float]) -> tuple[float, float]:
     """A spacing, across and down, in the unit of a CRS."""
     metres, unit = usual.metres, crs.axis_info[0].unit_conversion_factor
     if not crs.is_geographic:

@@ -6,9 +6,9 @@ draws on these axes and returns them. Without `ax` it makes a new figure in the 
 window.
 
 - Map layers, in degrees of longitude and latitude, can be drawn over each other: `map_axes`, `hillshade`,
-  `hidden_ground`, `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `accuracy_map`,
-  `method_map`, `scale_bar`, `north_arrow`. Layers are labelled: `legend(ax)` lists the labels, and
-  `colour_bar(ax, "CE90, m")` the colours.
+  `hidden_ground`, `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `region_on_map`,
+  `probability_on_map`, `accuracy_map`, `method_map`, `scale_bar`, `north_arrow`. Layers are labelled: `legend(ax)`
+  lists the labels, and `colour_bar(ax, "CE90, m")` the colours.
 - Charts stand alone and include a legend (`legend=False` omits it): `budget_bars`, `error_cloud`, `sight_section`,
   `residual_arrows`, `residual_histogram`, `shifts`, `ties_on_map`, `circles_on_map`. `overlap_along`, `checkerboard`
   and `convention` need no legend.
@@ -47,6 +47,7 @@ from jaxgeo.plot.maps import (
     shaded_relief,
     sight_lines,
 )
+from jaxgeo.plot.regions import probability_on_map, region_on_map
 from jaxgeo.plot.registration import checkerboard, circles_on_map, shifts, ties_on_map
 from jaxgeo.plot.registration_page import registration_figure
 from jaxgeo.plot.sightline import Section, section_under, sight_section
@@ -83,6 +84,8 @@ __all__ = [
     "north_arrow",
     "overlap_along",
     "post_positions",
+    "probability_on_map",
+    "region_on_map",
     "registration_figure",
     "residual_arrows",
     "residual_histogram",

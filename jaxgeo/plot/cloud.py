@@ -18,10 +18,12 @@ from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.fix import Fix
 from jaxgeo.plot.legends import keyed, legend_of
 from jaxgeo.plot.maps import slopes
+from jaxgeo.plot.regions import draw_region
 from jaxgeo.plot.style import INK, JUMPED, LINEAR, SAMPLE, SAMPLED, grid_behind, halo, house_axes, metres, percent
 from jaxgeo.terrain import Dem
 from jaxgeo.terrain.grid import surface_point
-from jaxgeo.uncertainty import AccuracyCheck, Comparison, Propagation, Sampled
+from jaxgeo.uncertainty import AccuracyCheck, Comparison, Propagation, Region, Sampled
+from jaxgeo.uncertainty._region_words import area_words
 
 MOST_POINTS = 5000  # drawn of a cloud; more do not make it clearer
 ACROSS = 240  # minimum samples across the drawn terrain
@@ -41,6 +43,7 @@ def error_cloud(
     dem: Dem | None = None,
     propagations: Mapping[str, Propagation] | None = None,
     jumped: Any = None,
+    region: Region | Any = None,
     probability: float = 0.9,
     reach: float | None = None,
     legend: bool = True,
@@ -49,14 +52,15 @@ def error_cloud(
 
     `errors` are samples that were kept; `jumped` (count,) marks those on other ground, drawn as crosses. Full lines are
     covariance ellipses, dashed ones circles, both of `probability`; they agree in content for normal samples.
-    `propagations`, up to three by name, are drawn beside the samples. An `AccuracyCheck` provides samples and one
-    answer: the circle of its accuracy at its probability, the share of the samples within, and the ellipse if it is by
-    linear propagation. A `Comparison` provides samples and linear propagation over facet and footprint, and its
-    verdict is in the legend. With a `dem` the terrain about the fix is
-    drawn below. `reach` is half the side in m. By default it holds 99 % of the samples, 99 % of those that jumped,
-    and all circles, but at most eight times the largest circle; samples outside are counted in a note. Raises
-    `TypeError` for other records, `ValueError` for samples that were not kept or have no fix, marks of another number,
-    a probability outside (0, 1), more than three propagations and a reach that is not positive.
+    `region`, the highest-density region of the samples (`Sampled.region`), is drawn as an area. `propagations`, up to
+    three by name, are drawn beside the samples. An `AccuracyCheck` provides samples and one answer: the circle of its
+    accuracy at its probability, the share of the samples within, and the ellipse if it is by linear propagation. A
+    `Comparison` provides samples and linear propagation over facet and footprint, and its verdict is in the legend.
+    With a `dem` the terrain about the fix is drawn below. `reach` is half the side in m. By default it holds 99 % of the
+    samples, 99 % of those that jumped, and all circles, but at most eight times the largest circle; samples outside are
+    counted in a note. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no fix,
+    marks of another number, a probability outside (0, 1), more than three propagations and a reach that is not
+    positive.
     """
     compared = errors if isinstance(errors, Comparison) else None
     checked = errors if isinstance(errors, AccuracyCheck) else None
@@ -71,6 +75,8 @@ def error_cloud(
         if propagations is None:
             propagations = {name: compared.propagations[name] for name in SHOWN if name in compared.propagations}
     linear = _checked(propagations or {})
+    if region is not None:
+        check_is(region, Region, "region", "Make it with Sampled.region.")
     points, marked = _kept(sampled, jumped)
     own = sampled.circular_error(probability).value if checked is None else float(checked.accuracy.circular)
     radii = [own, *(float(x.circular_error(probability)) for x in linear.values())]
@@ -82,6 +88,9 @@ def error_cloud(
             _ground(dem, sampled.fix, half, ax)
         handles = _points(points, marked, sampled, ax)
         handles.append(_sampled(sampled, probability, ax) if checked is None else _checked_answer(checked, ax))
+        if region is not None:
+            share = f"{100.0 * region.probability:g} %"
+            handles.append(draw_region(ax, region, f"{share} region, {area_words(region.area)}"))
         for colour, (name, one) in zip(LINEAR, linear.items(), strict=False):
             judged = _judged(compared, name) if probability == JUDGED[0] else ""
             handles.append(_linear(name, one, probability, colour, judged, ax))

@@ -19,6 +19,7 @@ from matplotlib.transforms import Affine2D
 from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.plot.close_up import Posts, interpolated
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.style import CAMERA, FIX, HIDDEN, INK, SIGHT, halo, house_axes, round_length
 from jaxgeo.terrain import Dem
@@ -91,12 +92,18 @@ def _named(axis: Any, value: float, signs: str) -> str:
 
 
 def hillshade(dem: Dem, ax: Axes | None = None, **light: float) -> Axes:
-    """Terrain in muted colours under an oblique light, as computed by `shaded_relief`; voids stay blank."""
+    """Terrain in muted colours under an oblique light, as computed by `shaded_relief`; voids stay blank.
+
+    If limits of the axes are set that show fewer than 100 posts, the relief is interpolated, for display only.
+    """
     check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
     step = max(1, math.ceil(int(np.max(np.asarray(dem.extent))) / MOST_POSTS))
-    rgba = shaded_relief(dem, step, **light)
-    lon, lat = lonlat_deg(post_positions(dem, step))
+    position, height = _known_posts(dem, step)
+    posts = Posts(*lonlat_deg(position), height)
     with house_axes(ax, tall=0.8) as ax:
+        lon, lat, height = interpolated(posts, ax)
+        fine = Geodetic(lat=np.radians(lat), lon=np.radians(lon), height=height)
+        rgba = _shaded(fine, height, _colour_range(posts.height), **light)
         ax.pcolormesh(lon, lat, rgba, shading="nearest", rasterized=True, zorder=0)
         degrees(ax, float(lat.mean()))
     return ax
@@ -111,11 +118,39 @@ def shaded_relief(
     exaggeration: float = 1.5,
 ) -> np.ndarray:
     """Colours (rows, cols, red green blue alpha) of every `step`-th post, on any grid; voids are transparent."""
+    return _shaded(
+        *_known_posts(dem, step),
+        light_azimuth_deg=light_azimuth_deg,
+        light_elevation_deg=light_elevation_deg,
+        exaggeration=exaggeration,
+    )
+
+
+def _known_posts(dem: Dem, step: int) -> tuple[Geodetic, np.ndarray]:
+    """(positions of every `step`-th post, their heights with NaN for voids)."""
     position = post_positions(dem, step)
     rows, cols = (int(n) for n in np.asarray(dem.extent))
-    height = np.where(np.asarray(dem.void)[:rows:step, :cols:step], np.nan, np.asarray(position.height))
+    return position, np.where(np.asarray(dem.void)[:rows:step, :cols:step], np.nan, np.asarray(position.height))
+
+
+def _shaded(
+    position: Geodetic,
+    height: np.ndarray,
+    between: tuple[float, float] | None = None,
+    *,
+    light_azimuth_deg: float = 315.0,
+    light_elevation_deg: float = 40.0,
+    exaggeration: float = 1.5,
+) -> np.ndarray:
+    """`relief_colours` of heights at positions."""
     light = math.radians(light_azimuth_deg), math.radians(light_elevation_deg)
-    return relief_colours(height, *plane(position), light=light, exaggeration=exaggeration)
+    return relief_colours(height, *plane(position), light=light, exaggeration=exaggeration, between=between)
+
+
+def _colour_range(height: np.ndarray) -> tuple[float, float]:
+    """Lowest and highest height in m of the colour scale."""
+    low, high = np.nanpercentile(height, [1.0, 99.5])
+    return float(low), float(high)
 
 
 def relief_colours(
@@ -138,7 +173,7 @@ def relief_colours(
     horizontal = math.cos(elevation)
     towards = np.array([horizontal * math.sin(azimuth), horizontal * math.cos(azimuth), math.sin(elevation)])
     shade = np.tensordot(towards, normal / np.linalg.norm(normal, axis=0), axes=1) / math.sin(elevation)
-    low, high = np.nanpercentile(height, [1.0, 99.5]) if between is None else between
+    low, high = _colour_range(height) if between is None else between
     rgb = RELIEF((height - low) / max(high - low, 1.0))[..., :3]
     rgb = rgb * (0.25 + 0.75 * np.clip(shade, 0.0, 1.0))[..., None]
     rgb = rgb + (1.0 - rgb) * 0.6 * np.clip(shade - 1.0, 0.0, 0.6)[..., None]

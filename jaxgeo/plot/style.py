@@ -20,6 +20,7 @@ COLUMN, PAGE = 80.0 / 25.4, 7.0  # inches: a column of 80 mm, and both columns o
 INK, MUTED, HAIR = "#1a1a1a", "#5f5f5f", "#d0d0d0"
 BLUE, SKY, GREEN = "#0072b2", "#56b4e9", "#009e73"
 ORANGE, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#8f3f71"
+VIOLET = "#4a148c"
 EARTH, SHADE = "#cdb896", "#eeeeee"
 
 # Meaning of each colour, in every figure.
@@ -30,6 +31,7 @@ EDGE = INK  # edges of images
 TERRAIN = EARTH  # terrain in a profile
 SAMPLE, SAMPLED = SKY, BLUE  # sampled errors, and their statistics
 JUMPED = VERMILLION  # sampled errors on other ground
+REGION = VIOLET  # highest-density regions
 LINEAR = (INK, ORANGE, PURPLE)  # linear propagation: over the facet, over the footprint, any other
 METHODS = ("#cfe6f6", GREEN, ORANGE)  # cheapest valid one: over the facet, over the footprint, samples
 HORIZONTAL, VERTICAL = BLUE, ORANGE  # variances

@@ -69,7 +69,7 @@ def _agreed(checked: AccuracyCheck) -> str:
     name, share = f"CE{words.percent_name(checked.accuracy.level())}", checked.within
     count = words.count(checked.sampled.count)
     low, high = 100.0 * share.low, 100.0 * share.high
-    said = f"{100.0 * share.estimate:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %, "
+    said = f"{100.0 * share.value:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %, "
     said += "95 % interval)."
     jumped, failed = checked.jumped, checked.sampled.failed
     if jumped > 0.0 or failed > 0.0:

@@ -17,11 +17,13 @@ from jaxgeo.uncertainty.accuracy_check import AccuracyCheck, check_accuracy
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.histogram import RadiusHistogram
+from jaxgeo.uncertainty.intervals import Share
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.regions import Mode, ProbabilityMap, Region
 from jaxgeo.uncertainty.sampled import sample
 from jaxgeo.uncertainty.sampled_record import Quantile, Sampled
 from jaxgeo.uncertainty.sampling import Sampling
@@ -47,17 +49,21 @@ __all__ = [
     "JointFixes",
     "Level",
     "Method",
+    "Mode",
     "Moments",
     "Outcome",
     "PerFlight",
     "PerImage",
     "PerMeasurement",
+    "ProbabilityMap",
     "Propagation",
     "Quantile",
     "RadiusHistogram",
     "Random",
+    "Region",
     "Sampled",
     "Sampling",
+    "Share",
     "Sobol",
     "SobolIndices",
     "Systematic",

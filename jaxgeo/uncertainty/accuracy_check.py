@@ -17,7 +17,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy import SAMPLES, accuracy
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.intervals import Interval
+from jaxgeo.uncertainty.intervals import Share
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import sample
 from jaxgeo.uncertainty.sampled_record import Sampled
@@ -45,7 +45,7 @@ class AccuracyCheck(Record):
             raise ValueError("the samples were not kept: sample again with keep=True.")
 
     @property
-    def within(self) -> Interval:
+    def within(self) -> Share:
         """Share of the samples within the circular error, and its confidence interval."""
         return self.sampled.share_within("CE", float(self.accuracy.circular))
 

@@ -21,6 +21,14 @@ class Interval(NamedTuple):
     high: float
 
 
+class Share(NamedTuple):
+    """A share of all samples, and its confidence interval from `low` to `high`."""
+
+    value: float
+    low: float
+    high: float
+
+
 def order_ranks(count: int, probability: float, confidence: float = 0.95) -> tuple[int, int]:
     """Ranks, counted from 1, of the two of `count` independent samples that bracket a quantile.
 
@@ -106,18 +114,22 @@ def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:
     return Interval(mean, max(mean - half, 0.0), mean + half)
 
 
-def share_interval(inside: int, count: int, confidence: float = 0.95) -> Interval:
-    """The share of `count` independent samples that are inside of something, and its confidence interval.
+def share_of(numbers: Any, count: int, confidence: float = 0.95, scrambles: int = 0) -> Share:
+    """The share that the samples with these numbers, from 0 on, are of `count`, and its confidence interval.
 
-    The number inside is binomial (Clopper and Pearson 1934, "The use of confidence or fiducial limits illustrated in
-    the case of the binomial").
+    Independent samples: Clopper and Pearson 1934, "The use of confidence or fiducial limits illustrated in the case of
+    the binomial". Scrambles of Sobol points: Student's interval of the shares of the scrambles.
     """
-    count = _whole(count, "count", 1)
+    count, numbers = _whole(count, "count", 1), np.asarray(numbers)
     _check_share(confidence, "confidence")
-    aside = 0.5 * (1.0 - confidence)
+    if scrambles:
+        size = np.bincount(np.arange(count) % scrambles, minlength=scrambles)
+        mean, low, high = scrambled_interval(np.bincount(numbers % scrambles, minlength=scrambles) / size, confidence)
+        return Share(mean, low, min(high, 1.0))
+    inside, aside = len(numbers), 0.5 * (1.0 - confidence)
     low = float(scipy.special.betaincinv(inside, count - inside + 1, aside)) if inside else 0.0
     high = float(scipy.special.betaincinv(inside + 1, count - inside, 1.0 - aside)) if inside < count else 1.0
-    return Interval(inside / count, low, high)
+    return Share(inside / count, low, high)
 
 
 def relative_half_width(interval: Interval) -> float:

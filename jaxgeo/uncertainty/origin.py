@@ -29,6 +29,10 @@ class Origin:
             self._values = {}
         return self._digests
 
+    def value(self, name: str) -> Any:
+        """A value; None if it is not known, as after the digests were computed (by a merge or a pickle)."""
+        return self._values.get(name)
+
     def differences(self, other: Origin) -> list[str]:
         """Names of the values that differ."""
         theirs = other.digests

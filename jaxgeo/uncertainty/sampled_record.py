@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -17,12 +17,17 @@ from jaxgeo.status import Status
 from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.intervals import (
     Interval,
+    Share,
     quantile_interval,
     scramble_quantile,
     scrambled_interval,
-    share_interval,
+    share_of,
 )
 from jaxgeo.uncertainty.origin import Origin
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain import Dem
+    from jaxgeo.uncertainty.regions import ProbabilityMap, Region, Share
 
 
 class Quantile(NamedTuple):
@@ -92,7 +97,7 @@ class Sampled(Record):
         """Radius of the sphere about the centre that contains this share of the samples."""
         return self._checked_quantile("SE", probability)
 
-    def share_within(self, figure: str, radius: float) -> Interval:
+    def share_within(self, figure: str, radius: float) -> Share:
         """Share of the samples, of all drawn, within a `radius` in m of one of the figures "CE", "LE" and "SE".
 
         With its confidence interval: of independent draws Clopper and Pearson's, of Sobol points Student's over the
@@ -104,12 +109,8 @@ class Sampled(Record):
             raise ValueError(f"radius must be a positive length in m; got {radius!r}.")
         if self.histograms is not None:
             raise ValueError("the radii of these samples were not kept: sample again without summary.")
-        inside = self.radii[figure] <= radius
-        if not self.scrambles:
-            return share_interval(int(np.count_nonzero(inside)), self.count, self.confidence)
-        each = np.array([np.mean(inside[number :: self.scrambles]) for number in range(self.scrambles)])
-        share, low, high = scrambled_interval(each, self.confidence)
-        return Interval(share, low, min(high, 1.0))
+        numbers = np.flatnonzero(self.radii[figure] <= radius)
+        return share_of(numbers, self.count, self.confidence, self.scrambles)
 
     @property
     def failed(self) -> float:
@@ -159,6 +160,46 @@ class Sampled(Record):
         groups = max(self.scrambles, 1)
         histograms = {figure: RadiusHistogram.of(radii, groups) for figure, radii in self.radii.items()}
         return dataclasses.replace(self, radii={}, histograms=histograms, errors_enu=None, codes=None)
+
+    def region(self, probability: float = 0.9, *, dem: Dem | None = None) -> Region:
+        """Highest-density region: the smallest area on the ground that holds the truth with this probability.
+
+        From a density of the kept samples on the cells of the DEM that they were drawn over (`probability_map`). The
+        error of a fix over terrain is often no ellipse: it follows slopes, and has pieces on several hills. `modes` of
+        the region are its pieces, with their shares and places, and `words` tells them. Samples without a fix count as
+        outside, so that the probability is one of all samples; regions of larger probabilities contain smaller ones.
+        Hyndman 1996, "Computing and graphing highest density regions".
+
+        Of 20,000 samples a 90 % region holds 89.1 to 90.8 % of fresh ones. Raises `ValueError` for a probability
+        outside (0, 1) or above the share of samples with a fix, for samples that were not kept (`keep=True`), for fewer
+        than 100 samples with a fix, and for a region about a pole; `TypeError` for a `dem` that is none.
+        """
+        from jaxgeo.uncertainty.regions import checked_probability
+
+        probability = checked_probability(probability)  # before the density is computed
+        return self.probability_map(dem=dem).region(probability)
+
+    def probability_map(self, *, dem: Dem | None = None) -> ProbabilityMap:
+        """Probability of the truth in each cell on the ground; sums to the share of samples with a fix.
+
+        Cells are those of the DEM's grid (`dem`, by default the terrain of the samples) or whole parts or multiples of
+        them, fine enough for the cloud. Samples over other terrain, and those that were merged or pickled without a
+        `dem`, use a level grid about the fix. Raises as `region`. `jaxgeo.io.write_probability_map` writes a GeoTIFF.
+        """
+        from jaxgeo.uncertainty import regions
+
+        return regions.probability_map(self, dem=dem)
+
+    def probability_within(self, polygon: Any) -> Share:
+        """Probability that the truth lies within an area: the share of all samples in it, and its interval.
+
+        `polygon` is a shapely Polygon or MultiPolygon, or a GeoJSON mapping of one, in deg of longitude and latitude on
+        WGS 84. Samples without a fix are outside. Raises `TypeError` for other objects, `ValueError` for an invalid
+        polygon, one in another order or unit, and for samples that were not kept.
+        """
+        from jaxgeo.uncertainty import regions
+
+        return regions.probability_within(self, polygon)
 
     def _checked_quantile(self, figure: str, probability: float) -> Quantile:
         if not 0.0 < probability < 1.0:

@@ -17,7 +17,7 @@ from jaxgeo import Sampling, demo
 from jaxgeo.io.dem import DATA
 from jaxgeo.io.scene import read_scene
 from jaxgeo.uncertainty import AccuracyCheck, Method, budget, check_accuracy, compare, propagate
-from jaxgeo.uncertainty.intervals import share_interval
+from jaxgeo.uncertainty.intervals import share_of
 from tests.support import looks
 
 LOOK = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, looks.level_errors())
@@ -33,7 +33,7 @@ def checked() -> AccuracyCheck:
 @pytest.mark.parametrize("confidence", [0.5, 0.95])
 def test_a_share_has_the_interval_of_clopper_and_pearson(inside: int, confidence: float) -> None:
     expected = scipy.stats.binomtest(inside, 100).proportion_ci(confidence, method="exact")
-    found = share_interval(inside, 100, confidence)
+    found = share_of(np.arange(inside), 100, confidence)
     np.testing.assert_allclose(found, (inside / 100.0, *expected), rtol=1e-9, atol=1e-12)  # it solves, to 1e-12
 
 
@@ -43,16 +43,16 @@ def test_the_share_within_a_quantile_is_its_probability(checked: AccuracyCheck) 
         for probability in (0.1, 0.5, 0.9):
             radius = checked.sampled.quantile(figure, probability).value
             share = checked.sampled.share_within(figure, radius)
-            assert abs(share.estimate - probability) <= 1.0 / COUNT
+            assert abs(share.value - probability) <= 1.0 / COUNT
             assert share.low < probability < share.high
 
 
 def test_samples_hold_what_the_accuracy_says(checked: AccuracyCheck) -> None:
     """Over level ground the error is nearly normal: the share is binomial."""
     within = checked.within
-    inside = round(within.estimate * COUNT)
+    inside = round(within.value * COUNT)
     assert scipy.stats.binomtest(inside, COUNT, 0.9).pvalue > 1e-4
-    assert f"{100.0 * within.estimate:.1f} % of 4 096 samples lie within this CE90" in str(checked)
+    assert f"{100.0 * within.value:.1f} % of 4 096 samples lie within this CE90" in str(checked)
     assert (checked.jumped, checked.sampled.failed) == (0.0, 0.0)
     assert str(checked).startswith(str(checked.accuracy))
 
