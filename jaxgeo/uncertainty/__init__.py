@@ -5,6 +5,7 @@ from jaxgeo.uncertainty import datasheet, distributions, metrics, presets, sourc
 from jaxgeo.uncertainty._accuracy import accuracy
 from jaxgeo.uncertainty._accuracy_map import AccuracyMap, accuracy_map
 from jaxgeo.uncertainty._budget import Budget, budget
+from jaxgeo.uncertainty._calibrate import calibrate_errors
 from jaxgeo.uncertainty._compare import Comparison, compare
 from jaxgeo.uncertainty._deprecated import accuracy_of_each as accuracy_of_each
 from jaxgeo.uncertainty._deprecated import accuracy_of_pixels as accuracy_of_pixels
@@ -13,7 +14,10 @@ from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_d
 from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
+from jaxgeo.uncertainty._validate import validate
 from jaxgeo.uncertainty.accuracy_record import Accuracy
+from jaxgeo.uncertainty.calibration import Calibration
+from jaxgeo.uncertainty.check_points import CheckPoints
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
@@ -27,6 +31,7 @@ from jaxgeo.uncertainty.sampling import Sampling
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
+from jaxgeo.uncertainty.validation import Validation
 
 __all__ = [
     "NO_FIX",
@@ -34,6 +39,8 @@ __all__ = [
     "Accuracy",
     "AccuracyMap",
     "Budget",
+    "Calibration",
+    "CheckPoints",
     "Comparison",
     "Design",
     "Diagnostics",
@@ -60,9 +67,11 @@ __all__ = [
     "SobolIndices",
     "Systematic",
     "TimeCorrelated",
+    "Validation",
     "accuracy",
     "accuracy_map",
     "budget",
+    "calibrate_errors",
     "certified_design",
     "circular_error",
     "compare",
@@ -83,6 +92,7 @@ __all__ = [
     "sobol_indices",
     "sources",
     "spherical_error",
+    "validate",
 ]
 
 DEPRECATED = {
