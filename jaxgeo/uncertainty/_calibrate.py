@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy  # submodules load lazily, when first used
 
+from jaxgeo._blas_threads import one_thread
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._reml import ZERO, Likelihood, Minimum
@@ -60,8 +61,22 @@ def calibrate_errors(
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must be between 0 and 1; got {confidence!r}.")
     found = errors_at(points, terrain, errors, search)
+    with one_thread():
+        return _calibrate(found, errors, each_axis, remove_mean, tuple(hold), confidence)
+
+
+def _calibrate(
+    found: CheckErrors,
+    errors: Any,
+    each_axis: bool,
+    remove_mean: bool,
+    hold: tuple[type[AbstractSource], ...],
+    confidence: float,
+) -> Calibration:
+    """Calibration from errors at check points."""
+    points = found.points
     parts = found.parts(each_axis)
-    held = [_reason_to_hold(part, found.model, tuple(hold)) for part in parts]
+    held = [_reason_to_hold(part, found.model, hold) for part in parts]
     single = [why is None and _is_one(part) for part, why in zip(parts, held, strict=True)]
     free = [number for number in range(len(parts)) if held[number] is None and not single[number]]
     if not free:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy  # submodules load lazily, when first used
 
+from jaxgeo._blas_threads import one_thread
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.check_errors import CheckErrors, errors_at
@@ -66,6 +67,13 @@ def validate(
             f"validate needs {LEAST} or more pixels with a fix, for a statistic to mean anything; {count} of "
             f"{len(points)} have one."
         )
+    with one_thread():
+        return _compared(found)
+
+
+def _compared(found: CheckErrors) -> Validation:
+    """The tests of errors at check points."""
+    points, count = found.points, len(found.index)
     error, joint = found.error, found.covariance()
     scale = np.sqrt(np.diag(joint))
     values, vectors = np.linalg.eigh(joint / scale[:, None] / scale[None, :])

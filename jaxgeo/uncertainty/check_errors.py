@@ -10,22 +10,22 @@ import numpy as np
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Numbers
+from jaxgeo.earth import Geodetic
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.observation import Observation
 from jaxgeo.sensor import Shot
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.check_points import CheckPoints
-from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
-from jaxgeo.uncertainty.linear import facet_normal
-from jaxgeo.uncertainty.many_exposures import check_batch, inputs_of, merge
+from jaxgeo.uncertainty.host_arrays import on_host, take
+from jaxgeo.uncertainty.linear import FACET, propagate_linear
+from jaxgeo.uncertainty.many_exposures import Batch, check_batch, inputs_of
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 from jaxgeo.uncertainty.sources import PixelMeasurement
 from jaxgeo.uncertainty.sources.base import AbstractSource
 
-BLOCK = 64  # pixels of a block: one program for every number of them
 RANK = 1e-12  # of the largest eigenvalue of a covariance: smaller ones are rounding
 LEAST = 64  # entries that a joint covariance is padded to, or twice as many, and so on
 
@@ -151,9 +151,7 @@ def errors_at(points: CheckPoints, terrain: AbstractTerrain, errors: Any, search
     batch, count = check_batch(given, _axes(observation, terrain, extended), search)
     if count != len(points):
         raise ValueError(f"observation must have {len(points)} exposures, one for each pixel; got {count}.")
-    lanes = (batch.lanes, points.position)
-    blocks = [_seen(part, batch.shared, batch.axes, search) for part in blocks_of(lanes, BLOCK, "", False)]
-    seen = concatenate([jax.tree.map(np.asarray, block) for block in blocks], count)
+    seen = _seen(batch, count, points.position, search)
     index = np.flatnonzero(np.asarray(seen.status) == Status.hit)
     if not len(index):
         worst = Status(int(seen.status[0]))
@@ -233,25 +231,37 @@ def _is_batch_of_levels(terrain: AbstractTerrain) -> bool:
     return isinstance(terrain, ConstantHeight) and np.ndim(terrain.height) > 0
 
 
-@batch_filter_jit
-def _seen(lanes: Any, shared: Any, axes: Any, search: AbstractSearch) -> Seen:
-    """Fixes of a block of pixels, their errors at the surveyed positions, and derivatives."""
-
-    def one(lane: Any) -> Seen:
-        own, position = lane
-        inputs, model = inputs_of(merge(own, shared, axes))
+def _seen(batch: Batch, count: int, position: Geodetic, search: AbstractSearch) -> Seen:
+    """Fixes of pixels, their errors at the surveyed positions, and derivatives, by the programs of `propagate`."""
+    truth = _ecef_of(position, count)
+    rows = []
+    for number in range(count):
+        inputs, model = inputs_of(batch.at(number))
         nominal = inputs.nominal_fix(search)
-        model = model.at(inputs, nominal)
-        error = nominal.R_ecef_from_enu.T @ (nominal.p_ecef - WGS84.to_ecef(position))
-        status = jnp.asarray(nominal.fix.status)
-        jacobian = model.sweep(inputs, nominal).facet
-        lost = ~(jnp.all(jnp.isfinite(jacobian)) & jnp.all(jnp.isfinite(error)))
-        status = jnp.where((status == Status.hit) & lost, Status.not_converged.code, status)
-        error = jnp.where(nominal.fix.found, error, jnp.nan)
-        normal = facet_normal(inputs.terrain, nominal)
-        return Seen(status, error, jacobian, nominal.fix.slant_range, nominal.direction_enu, normal, model)
+        found = propagate_linear(inputs, nominal, model, FACET)
+        fix, frame = nominal.fix, np.asarray(nominal.R_ecef_from_enu)
+        jacobian, error = np.asarray(found.jacobian), frame.T @ (np.asarray(nominal.p_ecef) - truth[number])
+        status = Status(int(np.asarray(fix.status)))
+        if status is Status.hit and not (np.isfinite(jacobian).all() and np.isfinite(error).all()):
+            status = Status.not_converged
+        if status is not Status.hit:
+            error = np.full(3, np.nan)
+        normal = np.cross(jacobian[:, -1], jacobian[:, -2])  # by columns and rows: both lie in the ground
+        normal = normal * np.sign(normal[2]) / np.linalg.norm(normal)
+        values = int(status), error, jacobian, np.asarray(fix.slant_range), np.asarray(nominal.direction_enu), normal
+        rows.append(Seen(*map(np.asarray, values), on_host(found.model)))
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
 
-    return jax.vmap(one)(lanes)
+
+def _ecef_of(position: Geodetic, count: int) -> np.ndarray:
+    """Positions (n,) in ECEF m."""
+    size = padded_size(count)
+    return np.asarray(_to_ecef(jax.tree.map(lambda x: np.resize(np.asarray(x, np.float64), size), position)))[:count]
+
+
+@batch_filter_jit
+def _to_ecef(position: Geodetic) -> Numbers:
+    return jax.vmap(WGS84.to_ecef)(position)
 
 
 @batch_filter_jit

@@ -49,7 +49,7 @@ class Batch(NamedTuple):
 
     def at(self, index: int) -> tuple[Any, ...]:
         """The arguments of one exposure."""
-        return merge(take(self.lanes, index), self.shared, self.axes)
+        return _merge(take(self.lanes, index), self.shared, self.axes)
 
 
 def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Request) -> Accuracy:
@@ -122,7 +122,7 @@ def _length(batch: Batch) -> int:
     return next(iter(lengths))
 
 
-def merge(own: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes) -> tuple[Any, ...]:
+def _merge(own: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes) -> tuple[Any, ...]:
     return tuple(a if axis == 0 else b for a, b, axis in zip(own, shared, axes, strict=True))
 
 
@@ -154,7 +154,7 @@ def _assess_block(
     lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
 ) -> Assessed:
     def one(own: tuple[Any, ...]) -> tuple[NominalFix, LinearAccuracy]:
-        inputs, model = inputs_of(merge(own, shared, axes))
+        inputs, model = inputs_of(_merge(own, shared, axes))
         nominal = inputs.nominal_fix(search)
         return nominal, assess_fix(inputs, nominal, model, probability)
 

@@ -92,31 +92,39 @@ def drawn(model: ErrorModel, image: np.ndarray, flight: np.ndarray, random: np.r
 
 
 @eqx.filter_jit
-def _true_places(shots: Any, uv: Any, errors: Any, sensor: Sensor, terrain: Any, model: ErrorModel) -> Any:
-    def one(shot: Any, uv: Any, error: Any) -> Any:
-        inputs = ModelInputs(Exposure(sensor, shot, jnp.asarray(0.0)), uv, terrain)
-        return model.moved(inputs, error)._located(FIRST_HIT)[0].ecef
+def _moved(model: ErrorModel, inputs: ModelInputs, error: Any) -> ModelInputs:
+    return model.moved(inputs, error)
 
-    return jax.vmap(one)(shots, uv, errors)
+
+def _true_places(observation: Observation, errors: np.ndarray, terrain: Any, model: ErrorModel) -> np.ndarray:
+    """Places (n, 3) in ECEF m that pixels see whose images err, by the program that `propagate` locates with."""
+    exposure = observation.exposure
+    places = []
+    for number, error in enumerate(errors):
+        shot, uv = jax.tree.map(lambda x, k=number: np.asarray(x)[k], (exposure.motion, observation.uv))
+        given = ModelInputs.of_checked(exposure.sensor, shot, jnp.asarray(0.0), jnp.asarray(uv), terrain, None)
+        places.append(np.asarray(_moved(model, given, error).nominal_fix(FIRST_HIT).p_ecef))
+    return np.stack(places)
 
 
 def simulated(
-    model: ErrorModel, seed: int, terrain: Any, made: tuple[Observation, Any, Any] | None = None, size: int = 72
+    model: ErrorModel, seed: int, terrain: Any, made: tuple[Observation, Any, Any] | None = None, **options: Any
 ) -> CheckPoints:
     """Check points whose images err as `model` states, with errors of the pixels and of the survey."""
     observation, image, flight = block() if made is None else made
     random = np.random.default_rng(seed)
     pixel = sources.PixelMeasurement.from_pixels(column=SIGMA_PX, row=SIGMA_PX)
-    whole = ErrorModel((*model.sources, pixel))
-    errors = drawn(whole, image, flight, random)
-    count, more = len(image), -len(image) % size
-    filled = jax.tree.map(
-        lambda x: np.concatenate([np.asarray(x), np.repeat(np.asarray(x)[-1:], more, axis=0)]),
-        (observation.exposure.motion, observation.uv, errors),
-    )
-    exact = ErrorModel(tuple(eqx.tree_at(lambda s: s.sigma, one, jnp.zeros(len(one.axes))) for one in whole.sources))
-    p_ecef = np.asarray(_true_places(*filled, observation.exposure.sensor, terrain, exact))[:count]
+    errors = drawn(ErrorModel((*model.sources, pixel)), image, flight, random)
+    unit = ErrorModel(tuple(eqx.tree_at(lambda s: s.sigma, one, jnp.ones(len(one.axes))) for one in model.sources))
+    unit = ErrorModel((*unit.sources, pixel))
+    p_ecef = _true_places(observation, errors, terrain, unit)
     R = np.asarray(R_ecef_from_enu(Geodetic.from_degrees(lat=LAT, lon=LON, height=0.0)))
-    p_ecef = p_ecef + (np.array(SIGMA_SURVEY) * random.standard_normal((count, 3))) @ R.T
-    position = jax.tree.map(np.asarray, jax.jit(jax.vmap(WGS84.to_geodetic))(p_ecef))
-    return CheckPoints(observation, position, sigma_enu=SIGMA_SURVEY, sigma_px=SIGMA_PX, images=image, flights=flight)
+    p_ecef = p_ecef + (np.array(SIGMA_SURVEY) * random.standard_normal((len(image), 3))) @ R.T
+    position = jax.tree.map(np.asarray, _to_geodetic(p_ecef))
+    given = {"sigma_enu": SIGMA_SURVEY, "sigma_px": SIGMA_PX, "images": image, "flights": flight}
+    return CheckPoints(observation, position, **(given | options))
+
+
+@jax.jit
+def _to_geodetic(p_ecef: Any) -> Geodetic:
+    return jax.vmap(WGS84.to_geodetic)(p_ecef)
