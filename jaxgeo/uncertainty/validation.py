@@ -146,7 +146,8 @@ class Validation:
     @property
     def tests(self) -> dict[str, float]:
         """p-values by name of the tests that `is_consistent` combines; without quantities that do not vary."""
-        found = {"size": self.size.p, "shape": self.uniformity.p}
+        found = {"size": self.size.p, "size across": self.horizontal.p, "size up": self.vertical.p}
+        found |= {"shape": self.uniformity.p}
         found |= {f"bias {one.axis}": one.p for one in self.bias}
         return found | {f"dependence on {one.name}": one.p for one in self.dependence if np.isfinite(one.p)}
 
@@ -223,11 +224,17 @@ class Validation:
         fixes = f"{len(self.index)} of {len(self.points)} pixels have a fix"
         if self.is_consistent:
             return f"The errors agree with the model. {fixes}."
-        factor = self.size.factor
-        if "size" not in self.rejected:
+        sizes = {
+            "size": ("", self.size),
+            "size across": (" across", self.horizontal),
+            "size up": (" up", self.vertical),
+        }
+        wrong = next((sizes[name] for name in sizes if name in self.rejected), None)
+        if wrong is None:
             return f"The errors do not agree with the model ({', '.join(self.rejected)}). {fixes}."
-        way = "optimistic: errors are" if factor > 1.0 else "pessimistic: errors are"
-        return f"The model is too {way} {factor:.2g} times as large as it says. {fixes}."
+        factor = wrong[1].factor
+        way = "optimistic" if factor > 1.0 else "pessimistic"
+        return f"The model is too {way}: errors{wrong[0]} are {factor:.2g} times as large as it says. {fixes}."
 
     def _lines(self) -> list[str]:
         lines = [f"Errors are {self.size.words}."]
