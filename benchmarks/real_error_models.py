@@ -1,7 +1,7 @@
 """Stated errors of real images held against surveyed or adjusted points.
 
-- Village: four oblique drone frames with real-time kinematic positions. Poses of the image tags are tested against fixes
-  by the poses of the bundle adjustment, over the same surface model.
+- Village: four oblique drone frames with real-time kinematic positions. Poses of the image tags are tested against
+  fixes by the poses of the bundle adjustment, over the same surface model.
 - Aerial: frames of an UltraCam Eagle, given orientations against given ground points, on level ground at the height
   of each point: errors across only.
 - Telemetry: reported frame centres of a flight, on level ground at the reported height.
@@ -22,10 +22,10 @@ import numpy as np
 
 import jaxgeo
 from jaxgeo.batches import in_batches
-from jaxgeo.io import read_acquisition, read_orientations
+from jaxgeo.io import read_acquisition
 from jaxgeo.uncertainty import CheckPoints, TimeCorrelated, calibrate_errors, sources, validate
 from tests.support.blocks import aerial
-from tests.support.miaoli import FRAMES, GRID, UNDULATION, Village
+from tests.support.miaoli import FRAMES, UNDULATION, Village
 
 ROWS, COLUMNS = 5, 6  # pixels of a frame of the village
 RTK = (0.009, 0.009, 0.023)  # m, of the image tags
@@ -38,8 +38,6 @@ def village(folder: pathlib.Path):
     camera = made.sensor.camera
     u, v = np.meshgrid(*(np.linspace(0.08, 0.92, n) for n in (COLUMNS, ROWS)))
     uv = np.stack([u.ravel() * camera.width, v.ravel() * camera.height], axis=1)
-    table = read_orientations(folder / "odm_miaoli" / "odm_xyz_opk.csv", height_datum=UNDULATION, crs=GRID)
-    del table
     poses = _tag_poses(folder)
     truth, shots, pixels, image = [], [], [], []
     for frame in FRAMES:

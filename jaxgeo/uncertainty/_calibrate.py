@@ -61,10 +61,10 @@ def calibrate_errors(
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must be between 0 and 1; got {confidence!r}.")
     found = errors_at(points, terrain, errors, search)
-    with one_thread():
-        return _calibrate(found, errors, each_axis, remove_mean, tuple(hold), confidence)
+    return _calibrate(found, errors, each_axis, remove_mean, tuple(hold), confidence)
 
 
+@one_thread()
 def _calibrate(
     found: CheckErrors,
     errors: Any,

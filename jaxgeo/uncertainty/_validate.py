@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from jaxgeo.uncertainty.validation import (
 DRAWS = 4000  # of the errors under the model, for the coverage of points whose errors are shared
 LEAST = 3  # pixels with a fix
 BINS = 10
-RATIOS = 21  # of the axes of an ellipse, between which the radius of its circle is interpolated
+RATIOS = 61  # of the axes of an ellipse, between which the radius of its circle is interpolated
 SINGULAR = 1e-10  # of the largest eigenvalue: combinations of errors that are zero under the model, and not tested
 ALL_THE_SAME = 1e-9  # relative: a range, an angle or a slope that does not vary
 
@@ -67,10 +68,10 @@ def validate(
             f"validate needs {LEAST} or more pixels with a fix, for a statistic to mean anything; {count} of "
             f"{len(points)} have one."
         )
-    with one_thread():
-        return _compared(found)
+    return _compared(found)
 
 
+@one_thread()
 def _compared(found: CheckErrors) -> Validation:
     """The tests of errors at check points."""
     points, count = found.points, len(found.index)
@@ -190,12 +191,17 @@ def _covered(name: str, level: float, inside: np.ndarray, drawn: np.ndarray) -> 
 
 
 def circular_radii(cov: np.ndarray) -> np.ndarray:
-    """Radii (n, levels) in m of the circles that contain normal errors of covariance `cov` (n, 2, 2), to 1e-6."""
-    ratio = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, RATIOS))
-    unit = np.zeros((RATIOS, 1, 2, 2))
-    unit[:, 0, 0, 0], unit[:, 0, 1, 1] = 1.0, ratio**2
-    known = host_radii(unit, np.array(LEVELS), np.zeros(2))
+    """Radii (n, levels) in m of the circles that contain normal errors of covariance `cov` (n, 2, 2), to 1e-5."""
     values = np.sqrt(np.maximum(np.linalg.eigvalsh(cov), 0.0))
     axes = np.where(values[:, 1] > 0.0, values[:, 0] / np.maximum(values[:, 1], 1e-300), 1.0)
-    angle = np.arcsin(np.minimum(axes, 1.0))
-    return values[:, 1, None] * scipy.interpolate.CubicSpline(np.arcsin(ratio), known)(angle)
+    return values[:, 1, None] * _unit_radii()(np.arcsin(np.minimum(axes, 1.0)))
+
+
+@functools.cache
+def _unit_radii() -> Any:
+    """Radii for ellipses of the larger semi-axis 1, by the arc sine of the smaller one."""
+    angle = 0.5 * np.pi * np.linspace(0.0, 1.0, RATIOS) ** 1.5
+    unit = np.zeros((RATIOS, 2, 2))
+    unit[:, 0, 0], unit[:, 1, 1] = 1.0, np.sin(angle) ** 2
+    known = np.stack([host_radii(unit, level, np.zeros(2)) for level in LEVELS], axis=1)
+    return scipy.interpolate.CubicSpline(angle, known)

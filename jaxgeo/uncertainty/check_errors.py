@@ -267,9 +267,11 @@ def _to_ecef(position: Geodetic) -> Numbers:
 @batch_filter_jit
 def _correlated(sharings: tuple[Any, ...], occasions: Occasion) -> list[Numbers]:
     """Correlation (n, n) of each sharing between n occasions."""
-    here, there = Occasion(*(x[:, None] for x in occasions)), Occasion(*(x[None, :] for x in occasions))
-    size = occasions[0].shape[0]
-    return [jnp.broadcast_to(one.correlation(here, there), (size, size)) for one in sharings]
+
+    def pair(here: Occasion, there: Occasion) -> list[Numbers]:
+        return [jnp.asarray(one.correlation(here, there)) for one in sharings]
+
+    return jax.vmap(lambda here: jax.vmap(lambda there: pair(here, there))(occasions))(occasions)
 
 
 @batch_filter_jit

