@@ -178,7 +178,12 @@ def _run(
     compile_quickly(options.has_terrain_field)
     enable_x64()
     surveyed = _surveyed(of_points, options)
-    inputs = read_inputs(options, True, output)
+
+    def check(observed: Any, _: bool) -> None:
+        """Raise for images that are not there, before the ground is read."""
+        check_points_of(observed, surveyed, sigma_enu=1.0, sigma_px=1.0)
+
+    inputs = read_inputs(options, True, output, check)
     assumed = list(inputs.assumed)
     survey, pixel = _sigmas(of_points, surveyed, inputs.observed, assumed)
     for one in assumed[len(inputs.assumed) :]:

@@ -224,6 +224,8 @@ class Validation:
         fixes = f"{len(self.index)} of {len(self.points)} pixels have a fix"
         if self.is_consistent:
             return f"The errors agree with the model. {fixes}."
+        if self._is_shared_otherwise:
+            return f"Errors across and up are as large as the model says, but not shared as it says. {fixes}."
         sizes = {
             "size": ("", self.size),
             "size across": (" across", self.horizontal),
@@ -236,8 +238,20 @@ class Validation:
         way = "optimistic" if factor > 1.0 else "pessimistic"
         return f"The model is too {way}: errors{wrong[0]} are {factor:.2g} times as large as it says. {fixes}."
 
+    @property
+    def _is_shared_otherwise(self) -> bool:
+        """Whether only combinations of the errors are larger than stated, not those across or up."""
+        wrong = set(self.rejected)
+        return "size" in wrong and not {"size across", "size up"} & wrong and self.size.factor > 1.0
+
     def _lines(self) -> list[str]:
         lines = [f"Errors are {self.size.words}."]
+        if self._is_shared_otherwise:
+            lines.append(
+                "Differences between points, or heights over the ground, err by more than is left of the model's "
+                "errors when what they share is taken out. Terrain errors that differ from place to place are a "
+                "TerrainField, not a TerrainHeight."
+            )
         lines += [f"  {name}: {one.words}" for name, one in (("across", self.horizontal), ("up", self.vertical))]
         count = len(self.index)
         if self.effective < count:
