@@ -23,11 +23,12 @@ import numpy as np
 import jaxgeo
 from jaxgeo.batches import in_batches
 from jaxgeo.io import read_acquisition
-from jaxgeo.uncertainty import CheckPoints, TimeCorrelated, calibrate_errors, sources, validate
+from jaxgeo.uncertainty import CheckPoints, PerMeasurement, calibrate_errors, sources, validate
 from tests.support.blocks import aerial
 from tests.support.miaoli import FRAMES, UNDULATION, Village
 
-ROWS, COLUMNS = 5, 6  # pixels of a frame of the village
+ROWS, COLUMNS = 12, 16  # pixels of a frame of the village, of which those of open ground are used
+RADIUS, ROUGH = 4.0, 0.8  # m: half side and range of heights of a square of open ground
 RTK = (0.009, 0.009, 0.023)  # m, of the image tags
 TELEMETRY_STEP = 40  # packets: 4 s
 
@@ -42,8 +43,7 @@ def village(folder: pathlib.Path):
     truth, shots, pixels, image = [], [], [], []
     for frame in FRAMES:
         true = in_batches(_located, uv, made.sensor, made.shots[frame], made.terrain)
-        stated = in_batches(_located, uv, made.sensor, poses[frame], made.terrain)
-        kept = (true.status == 0) & (stated.status == 0)
+        kept = (true.status == 0) & _is_open(true.position, made.terrain)
         truth.append(jax.tree.map(lambda x, k=kept: np.asarray(x)[k], true.position))
         shots.append(jax.tree.map(lambda x, k=kept: np.repeat(np.asarray(x)[None], k.sum(), axis=0), poses[frame]))
         pixels.append(uv[kept])
@@ -56,9 +56,24 @@ def village(folder: pathlib.Path):
         (
             sources.Position.from_ned(north=north, east=east, down=down),
             sources.Attitude.from_degrees(heading=1.0, pitch=0.5, roll=0.5),
+            sources.TerrainHeight.from_metres(0.2, sharing=PerMeasurement()),
         )
     )
     return points, made.terrain, errors
+
+
+def _is_open(position: jaxgeo.Geodetic, terrain: jaxgeo.Dem) -> np.ndarray:
+    """Whether the surface about each place is open ground: level to half a metre within 4 m, and not steep."""
+    away = np.linspace(-RADIUS, RADIUS, 9) / 6.37e6
+    lat, lon = np.asarray(position.lat), np.asarray(position.lon)
+    there = np.nan_to_num(lat[:, None, None]) + away[:, None], np.nan_to_num(lon[:, None, None]) + 1.1 * away[None, :]
+    places = [np.broadcast_to(x, (len(lat), 9, 9)).reshape(-1) for x in there]
+    heights = in_batches(_height, tuple(places), terrain).reshape(len(lat), 81)
+    return np.ptp(heights, axis=1) < ROUGH
+
+
+def _height(place, terrain):
+    return terrain.height_at(jaxgeo.Geodetic(lat=place[0], lon=place[1], height=0.0))
 
 
 def _located(uv, sensor, shot, terrain):
@@ -122,12 +137,11 @@ def telemetry(folder: pathlib.Path):
     points = CheckPoints(observation, position, sigma_enu=1.0, sigma_px=0.5, images=index)
     ground = jaxgeo.ConstantHeight(np.asarray(position.height))
     names = tuple(found.sensor.gimbal.names)
-    during = TimeCorrelated(30.0)
     errors = jaxgeo.ErrorModel(
         (
-            sources.Position.from_ned(north=3.0, east=3.0, down=5.0, sharing=during),
-            sources.Attitude.from_degrees(heading=0.3, pitch=0.1, roll=0.1, sharing=during),
-            sources.GimbalAngles.from_degrees(**dict.fromkeys(names, 0.1), sharing=during),
+            sources.Position.from_ned(north=3.0, east=3.0, down=5.0),
+            sources.Attitude.from_degrees(heading=0.3, pitch=0.1, roll=0.1),
+            sources.GimbalAngles.from_degrees(**dict.fromkeys(names, 0.1)),
         )
     )
     return points, ground, errors

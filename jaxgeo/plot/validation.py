@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import matplotlib as mpl
@@ -14,9 +15,11 @@ from matplotlib.ticker import MaxNLocator
 from jaxgeo._checks import check_is
 from jaxgeo.plot.style import BLUE, HAIR, HORIZONTAL, INK, MUTED, PAGE, SHADE, SKY, VERMILLION, VERTICAL, style
 from jaxgeo.uncertainty import Validation
-from jaxgeo.uncertainty.validation import SIGNIFICANCE, Dependence
+from jaxgeo.uncertainty.validation import LEVELS, SIGNIFICANCE, Dependence
 
-TALL = 0.74  # of the width
+TALL = 0.76  # of the width
+WIDE = 84  # letters of a line of the title
+CLOSE = 6.0  # sigmas of the axes up to which circles have labels
 CIRCLES = ((0.5, 1.17741), (0.9, 2.14597), (0.95, 2.44775))  # probability and radius of the standard normal in 2D
 SIZE_LIMITS = (0.268, 1.765)  # of the size of three standard normal errors, 95 %: roots of chi-square quantiles / 3
 
@@ -45,7 +48,7 @@ def validation_figure(found: Validation) -> Figure:
         for ax, one in zip(axes[1], found.dependence, strict=True):
             _dependence(found, one, ax)
         axes[1, 0].set_ylabel("errors / errors of the model")
-        title = found.words.splitlines()[0]
+        title = "\n".join(textwrap.wrap(found.words.splitlines()[0], WIDE))
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold", fontsize="large")
     return figure
 
@@ -53,12 +56,12 @@ def validation_figure(found: Validation) -> Figure:
 def _scatter(found: Validation, ax: Axes) -> None:
     points = found.normalised[:, :2]
     limit = max(3.2, 1.08 * float(np.abs(points).max()))
-    for level, radius in CIRCLES:
+    for (level, radius), angle in zip(CIRCLES, np.deg2rad((225.0, 245.0, 295.0)), strict=True):
         ax.add_artist(mpl.patches.Circle((0.0, 0.0), radius, fill=False, color=MUTED, linewidth=0.8, linestyle="--"))
-        if limit < 5.0:
-            place = -radius / np.sqrt(2.0)
-            ax.text(place, place, f"{100 * level:g}", ha="center", va="center", fontsize="small", color=MUTED,
-                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6})  # fmt: skip
+        if limit < CLOSE:
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+            where = radius * np.cos(angle), radius * np.sin(angle)
+            ax.text(*where, f"{100 * level:g}", ha="center", va="center", fontsize="small", color=MUTED, bbox=box)
     ax.axhline(0.0, color=HAIR, linewidth=0.6, zorder=0)
     ax.axvline(0.0, color=HAIR, linewidth=0.6, zorder=0)
     ax.plot(*points.T, "o", color=HORIZONTAL, markersize=3.0, markeredgewidth=0.0, alpha=0.75)
@@ -91,24 +94,26 @@ def _histogram(found: Validation, ax: Axes) -> None:
 
 
 def _coverage(found: Validation, ax: Axes) -> None:
-    ax.plot([0.0, 100.0], [0.0, 100.0], color=MUTED, linewidth=0.8, linestyle="--", zorder=1)
-    marks: Any = {"CE": ("o", HORIZONTAL, -1.2, "across (CE)"), "LE": ("s", VERTICAL, 1.2, "up (LE)")}
+    for place, level in enumerate(LEVELS):
+        ax.plot([place - 0.32, place + 0.32], [100.0 * level] * 2, color=MUTED, linewidth=1.0, linestyle="--", zorder=1)
+    marks: Any = {"CE": ("o", HORIZONTAL, -0.12, "across (CE)"), "LE": ("s", VERTICAL, 0.12, "up (LE)")}
     for name, (marker, colour, aside, label) in marks.items():
-        some = [one for one in found.coverage if one.name.startswith(name)]
-        x = np.array([100.0 * one.level for one in some]) + aside
-        y = np.array([100.0 * one.share for one in some])
+        some = sorted((one for one in found.coverage if one.name.startswith(name)), key=lambda one: one.level)
+        x, y = np.arange(len(some)) + aside, np.array([100.0 * one.share for one in some])
         ends = np.array([[100.0 * one.low, 100.0 * one.high] for one in some]).T
-        bars = np.maximum(np.abs(ends - y), 0.0)
+        bars = np.abs(ends - y)
         ax.errorbar(x, y, bars, fmt=marker, color=colour, markersize=4.0, capsize=2.0, linewidth=1.0, label=label)
-    ax.set_xlim(40.0, 100.0)
-    ax.set_ylim(0.0, 103.0)
-    ax.set_xticks([50.0, 90.0, 95.0])
-    ax.set_xlabel("stated probability, %")
+    ax.set_xlim(-0.5, len(LEVELS) - 0.5)
+    ax.set_ylim(0.0, 118.0)
+    ax.set_yticks([0.0, 25.0, 50.0, 75.0, 100.0])
+    ax.set_xticks(range(len(LEVELS)), [f"{100.0 * level:g} %" for level in LEVELS])
+    ax.tick_params(axis="x", length=0.0)
+    ax.set_xlabel("stated probability")
     ax.set_ylabel("points inside, %")
     ax.set_title("Coverage")
     ax.legend(loc="lower right")
     if found.effective < len(found.index):
-        _note(ax, f"{len(found.index)} pixels amount to {found.effective:.2g}", top=True)
+        _note(ax, f"{len(found.index)} pixels count as {found.effective:.2g}", top=True)
 
 
 def _dependence(found: Validation, one: Dependence, ax: Axes) -> None:
