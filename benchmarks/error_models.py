@@ -29,7 +29,7 @@ STATED = 0.5  # times the true sigmas, in calibrations
 
 def main() -> None:
     """Run the study and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     for name, usual in (("sets", 200), ("seed", 0), ("flights", 3), ("images", 8), ("pixels", 3)):
         parser.add_argument(f"--{name}", type=int, default=usual)
     given = parser.parse_args()

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 import sys
+from typing import Any
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1]))
 
@@ -36,7 +37,7 @@ TELEMETRY_STEP = 40  # packets: 4 s
 def village(folder: pathlib.Path):
     """(check points, terrain, errors as the drone states them)."""
     made = Village.of(folder)
-    camera = made.sensor.camera
+    camera: Any = made.sensor.camera
     u, v = np.meshgrid(*(np.linspace(0.08, 0.92, n) for n in (COLUMNS, ROWS)))
     uv = np.stack([u.ravel() * camera.width, v.ravel() * camera.height], axis=1)
     poses = _tag_poses(folder)
@@ -131,17 +132,18 @@ def telemetry(folder: pathlib.Path):
     index = np.flatnonzero(known)[:: TELEMETRY_STEP // 10]
     take = lambda tree: jax.tree.map(lambda x: np.asarray(x)[index], tree)  # noqa: E731
     sensor, shots, position = take(found.sensor), take(found.shots), take(centre)
-    size = np.array([found.sensor.camera.width, found.sensor.camera.height])
+    camera: Any = found.sensor.camera
+    size = np.array([camera.width, camera.height])
     uv = np.tile((size - 1.0) / 2.0, (len(index), 1))
     observation = jaxgeo.Observation(jaxgeo.Exposure(sensor, shots), uv)
     points = CheckPoints(observation, position, sigma_enu=1.0, sigma_px=0.5, images=index)
     ground = jaxgeo.ConstantHeight(np.asarray(position.height))
-    names = tuple(found.sensor.gimbal.names)
+    readings: dict[str, Any] = dict.fromkeys(found.sensor.gimbal.names, 0.1)
     errors = jaxgeo.ErrorModel(
         (
             sources.Position.from_ned(north=3.0, east=3.0, down=5.0),
             sources.Attitude.from_degrees(heading=0.3, pitch=0.1, roll=0.1),
-            sources.GimbalAngles.from_degrees(**dict.fromkeys(names, 0.1)),
+            sources.GimbalAngles.from_degrees(**readings),
         )
     )
     return points, ground, errors
@@ -149,7 +151,7 @@ def telemetry(folder: pathlib.Path):
 
 def main() -> None:
     """Print what `validate` and `calibrate_errors` say of each."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("--figures", type=pathlib.Path)
     parser.add_argument("--only", choices=["village", "aerial", "telemetry"])

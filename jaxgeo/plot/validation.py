@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from jaxgeo._checks import check_is
@@ -57,7 +58,7 @@ def _scatter(found: Validation, ax: Axes) -> None:
     points = found.normalised[:, :2]
     limit = max(3.2, 1.08 * float(np.abs(points).max()))
     for (level, radius), angle in zip(CIRCLES, np.deg2rad((225.0, 245.0, 295.0)), strict=True):
-        ax.add_artist(mpl.patches.Circle((0.0, 0.0), radius, fill=False, color=MUTED, linewidth=0.8, linestyle="--"))
+        ax.add_artist(Circle((0.0, 0.0), radius, fill=False, color=MUTED, linewidth=0.8, linestyle="--"))
         if limit < CLOSE:
             box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
             where = radius * np.cos(angle), radius * np.sin(angle)

@@ -246,5 +246,5 @@ def _calibrated(errors: Any, model: ErrorModel, parts: list[Part], scales: list[
         for part, scale in zip(parts, scales, strict=True):
             if part.source == number:
                 factor[slice(None) if part.axis is None else part.axis] = scale
-        sources[number] = eqx.tree_at(lambda one: one.sigma, source, jnp.asarray(source.sigma) * factor)
+        sources[number] = eqx.tree_at(lambda one: one.sigma, source, jnp.asarray(np.asarray(source.sigma) * factor))
     return ErrorModel(tuple(sources))

@@ -203,5 +203,5 @@ def _unit_radii() -> Any:
     angle = 0.5 * np.pi * np.linspace(0.0, 1.0, RATIOS) ** 1.5
     unit = np.zeros((RATIOS, 2, 2))
     unit[:, 0, 0], unit[:, 1, 1] = 1.0, np.sin(angle) ** 2
-    known = np.stack([host_radii(unit, level, np.zeros(2)) for level in LEVELS], axis=1)
+    known = np.stack([np.asarray(host_radii(unit, level, np.zeros(2))) for level in LEVELS], axis=1)
     return scipy.interpolate.CubicSpline(angle, known)

@@ -117,8 +117,8 @@ class CheckErrors(NamedTuple):
     def _occasions(self, size: int) -> Occasion:
         _, image, flight = self.points.numbers
         columns = (np.arange(len(self.points)), image, flight, self.points.times)
-        padded = [np.resize(np.asarray(column, np.float64)[self.index], size) for column in columns]
-        return Occasion(*padded)
+        number, image, flight, time = (np.resize(np.asarray(x, np.float64)[self.index], size) for x in columns)
+        return Occasion(number, image, flight, time)
 
     def _correlations(self) -> list[np.ndarray]:
         """Correlation (n, n) of each source between the pixels."""
@@ -131,8 +131,8 @@ class CheckErrors(NamedTuple):
         """Joint covariance of a source that computes its own covariance between two observations."""
         count = len(self.index)
         size = padded_size(count)
-        filled = jax.tree.map(lambda x: np.resize(x, (size, *x.shape[1:])), (evaluated, jacobian))
-        blocks = np.asarray(_pairs(*filled, self._occasions(size)))[:count, :count]
+        source, filled = jax.tree.map(lambda x: np.resize(x, (size, *x.shape[1:])), (evaluated, jacobian))
+        blocks = np.asarray(_pairs(source, filled, self._occasions(size)))[:count, :count]
         return blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
 
 
@@ -248,8 +248,8 @@ def _seen(batch: Batch, count: int, position: Geodetic, search: AbstractSearch) 
             error = np.full(3, np.nan)
         normal = np.cross(jacobian[:, -1], jacobian[:, -2])  # by columns and rows: both lie in the ground
         normal = normal * np.sign(normal[2]) / np.linalg.norm(normal)
-        values = int(status), error, jacobian, np.asarray(fix.slant_range), np.asarray(nominal.direction_enu), normal
-        rows.append(Seen(*map(np.asarray, values), on_host(found.model)))
+        look = np.asarray(fix.slant_range), np.asarray(nominal.direction_enu)
+        rows.append(Seen(np.asarray(int(status)), error, jacobian, *look, normal, on_host(found.model)))
     return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
 
 

@@ -10,9 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.stats
 
 import jaxgeo
+from jaxgeo.io.acquisitions import for_each
 from jaxgeo.uncertainty import (
     CheckPoints,
     Validation,
@@ -247,3 +249,33 @@ def test_sets_through_the_exact_model_over_hills() -> None:
         error = shares.std() / np.sqrt(len(shares))
         assert abs(shares.mean() - one.level) < 4.0 * error + 1e-3, one.name
     assert np.mean([one.is_consistent for one in found]) > 0.88
+
+
+@pytest.mark.slow
+def test_terrain_errors_that_fade_with_distance(points) -> None:
+    """The oracle is `joint_covariance`, of one observation at a time."""
+    terrain = hills()
+    field = sources.TerrainField.of_variograms(gaussian=[(2.0, 400.0)], nodes=5)
+    model = jaxgeo.ErrorModel((field, _with_pixel().sources[-1]))
+    found = errors_at(dataclasses.replace(points, sigma_px=None), terrain, model, jaxgeo.FirstHit())
+    each = []
+    for number in range(3):
+        motion, uv = take((points.observation.exposure.motion, points.observation.uv), number)
+        one = jaxgeo.Observation(jaxgeo.Exposure(points.observation.exposure.sensor, motion), uv)
+        each.append(propagate(one, terrain, model))
+    whole = joint_covariance(each)
+    R = scipy.linalg.block_diag(*[np.asarray(one.nominal.R_ecef_from_enu) for one in each])
+    survey = np.diag(np.tile(points.sigma_enu[0] ** 2, 3))
+    np.testing.assert_allclose(
+        found.covariance()[:9, :9], R.T @ np.asarray(whole.cov_ecef) @ R + survey, atol=1e-9
+    )  # m2
+
+
+def test_sigmas_of_each_image(points) -> None:
+    one = sources.Position.from_ned(north=0.1, east=0.1, down=0.1)
+    each = for_each(one, 12)
+    scale = np.linspace(1.0, 5.0, 12)
+    each = eqx.tree_at(lambda source: source.sigma, each, np.asarray(each.sigma) * scale[:, None])
+    (alike,), (own,) = (errors_at(points, LEVEL, (model,), jaxgeo.FirstHit()).parts() for model in (one, each))
+    wide = np.repeat(scale, 3)
+    np.testing.assert_allclose(own.covariance, wide[:, None] * alike.covariance * wide[None, :], atol=1e-12)  # m2
