@@ -34,7 +34,7 @@ def validation_figure(found: Validation) -> Figure:
       ends if it is too optimistic, high in the middle if too pessimistic.
     - Coverage of CE and LE against its nominal value, with intervals.
     - Size of the errors of each point in those of the model against range, look angle and slope; the band contains 95 %
-      if the model is true.
+      if the model is true. The line is the root mean square of groups of points, the correlation that of ranks.
 
     Returns the figure. Raises `TypeError` for another record.
     """
@@ -49,7 +49,8 @@ def validation_figure(found: Validation) -> Figure:
         for ax, one in zip(axes[1], found.dependence, strict=True):
             _dependence(found, one, ax)
         axes[1, 0].set_ylabel("errors / errors of the model")
-        title = "\n".join(textwrap.wrap(found.words.splitlines()[0], WIDE))
+        verdict, _, count = found.words.splitlines()[0].rpartition(". ")
+        title = "\n".join([*textwrap.wrap(f"{verdict}.", WIDE), count])
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold", fontsize="large")
     return figure
 
@@ -136,7 +137,7 @@ def _dependence(found: Validation, one: Dependence, ax: Axes) -> None:
     ax.set_xlabel(f"{one.name}, {unit}")
     ax.set_title(f"By {one.name}")
     if known:
-        _verdict(ax, f"rank correlation {one.correlation:+.2f}", one.p)
+        _verdict(ax, f"correlation {one.correlation:+.2f}", one.p)
     else:
         _note(ax, "the same for all: not tested", top=True)
 
