@@ -24,6 +24,7 @@ ORDER = (
     "terrain_searches",
     "error_budget",
     "linear_vs_sampled",
+    "are_my_errors_true",
     "accuracy_map",
     "overlap_and_pointing",
     "strips_in_noise",

@@ -17,7 +17,7 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas, checked_sigma
 from jaxgeo.cli._inputs import as_datum, numbers_in
-from jaxgeo.cli._locate_inputs import read_inputs
+from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup
 from jaxgeo.cli._results import AsJson, print_json
@@ -188,10 +188,8 @@ def _run(
     survey, pixel = _sigmas(of_points, surveyed, inputs.observed, assumed)
     for one in assumed[len(inputs.assumed) :]:
         print_message(f"assumed: {one}")
-    points, errors, number = check_points_of(inputs.observed, surveyed, sigma_enu=survey, sigma_px=pixel)
-    ground = inputs.grounds[number]
-    if np.ndim(getattr(ground, "height", 0.0)):
-        ground = dataclasses.replace(ground, height=float(np.asarray(ground.height)[0]))
+    points, errors, rows = check_points_of(inputs.observed, surveyed, sigma_enu=survey, sigma_px=pixel)
+    ground = _ground(inputs, rows)
     with working("comparing"):
         found = validate(points, ground, errors)
     told: dict[str, Any] = {"validation": found.to_dict()}
@@ -210,6 +208,15 @@ def _run(
         print_json("validate", {"inputs": options.inputs | typed, "assumed": assumed, **told})
     else:
         Console(soft_wrap=True).print("\n".join(lines), highlight=False, markup=False)
+
+
+def _ground(inputs: LocateInputs, rows: np.ndarray) -> Any:
+    """The elevation model, or level ground of each pixel's image."""
+    places = [inputs.observed.place(int(row)) for row in rows]
+    ground = inputs.grounds[places[0][0]]
+    if not np.ndim(getattr(ground, "height", 0.0)):
+        return ground
+    return dataclasses.replace(ground, height=np.asarray(ground.height)[[index for _, index in places]])
 
 
 def _surveyed(of_points: PointOptions, options: LocateOptions) -> SurveyedPixels:

@@ -95,8 +95,9 @@ def read_check_points(
 
 def check_points_of(
     observed: Observations, surveyed: SurveyedPixels, *, sigma_enu: Any = None, sigma_px: Any = None
-) -> tuple[CheckPoints, ErrorModel, int]:
-    """(check points, the error model of their images, number of their batch) for `validate` and `calibrate_errors`.
+) -> tuple[CheckPoints, ErrorModel, np.ndarray]:
+    """(check points, the error model of their images, the row of each in `observed`), for `validate` and
+    `calibrate_errors`.
 
     `observed` are the images with any pixel each, by `read_observations`; pixels are found by the name of the image,
     with or without its ending. `sigma_enu` in m and `sigma_px` are used where the file states none. A
@@ -128,7 +129,7 @@ def check_points_of(
         flights=surveyed.flight,
         **given,
     )
-    return points, ErrorModel(tuple(sources)), batches[0]
+    return points, ErrorModel(tuple(sources)), rows
 
 
 def _is_csv(path: str | os.PathLike[str]) -> bool:

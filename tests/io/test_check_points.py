@@ -106,8 +106,8 @@ def images(names: list[str]) -> Observations:
 def test_pixels_find_their_images(tmp_path) -> None:
     observed = images(["one.JPG", "two.JPG"])
     surveyed = read(tmp_path / "a.csv", f"{HEADER}\ntwo,P,1,2,47,11,5\none.JPG,Q,3,4,47,11,5\nTWO,Q,5,6,47,11,5\n")
-    points, errors, number = check_points_of(observed, surveyed, sigma_enu=0.1, sigma_px=0.4)
-    assert number == 0
+    points, errors, rows = check_points_of(observed, surveyed, sigma_enu=0.1, sigma_px=0.4)
+    assert rows.tolist() == [1, 0, 1]
     assert points.points.tolist() == ["P", "Q", "Q"]
     np.testing.assert_array_equal(points.observation.uv, [[1, 2], [3, 4], [5, 6]])
     heights = np.asarray(observed.batches[0].shots.pose.position.height)
