@@ -13,6 +13,7 @@ import scipy  # submodules load lazily, when first used
 
 from jaxgeo._blas_threads import one_thread
 from jaxgeo._locate import FIRST_HIT
+from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._reml import ZERO, Likelihood, Minimum
 from jaxgeo.uncertainty.calibration import Calibration, Component, FixedEffect
@@ -74,7 +75,6 @@ def _calibrate(
     confidence: float,
 ) -> Calibration:
     """Calibration from errors at check points."""
-    points = found.points
     parts = found.parts(each_axis)
     held = [_reason_to_hold(part, found.model, hold) for part in parts]
     single = [why is None and _is_one(part) for part, why in zip(parts, held, strict=True)]
@@ -97,18 +97,8 @@ def _calibrate(
     intervals = [likelihood.limits(best, number, goal) for number in range(len(free))]
     joint = known + sum(float(np.exp(2.0 * x)) * parts[k].covariance for x, k in zip(best.x, free, strict=True))
     deviations, unclear = _deviations(best, len(free))
-    components = []
-    for number, part in enumerate(parts):
-        stated = _stated_sigma(found.model, part)
-        unit, names_of = found.model.sources[part.source].unit, _axes_of(found.model, part)
-        if number not in free:
-            why = held[number] or "the points hold one realisation of it: a fixed effect"
-            components.append(Component(part.label, names_of, unit, stated, 1.0, 1.0, 1.0, math.nan, why))
-            continue
-        place = free.index(number)
-        scale = 0.0 if best.x[place] <= ZERO else float(np.exp(best.x[place]))
-        limits = intervals[place]
-        components.append(Component(part.label, names_of, unit, stated, scale, *limits, deviations[place], None))
+    values = {k: (_scale(best.x[n]), *intervals[n], deviations[n]) for n, k in enumerate(free)}
+    components = [_component(found.model, part, held[k], values.get(k)) for k, part in enumerate(parts)]
     at_stated = likelihood.at(np.zeros(len(free))).misfit
     return Calibration(
         components=tuple(components),
@@ -120,8 +110,33 @@ def _calibrate(
         gain=2.0 * (at_stated - best.misfit),
         pixels=len(found.index),
         note=found.model.left_out,
-        without_fix=tuple(str(points.points[k]) for k in np.setdiff1d(np.arange(len(points)), found.index)),
+        without_fix=_without_fix(found),
     )
+
+
+def _scale(x: float) -> float:
+    return 0.0 if x <= ZERO else math.exp(x)
+
+
+def _component(
+    model: ErrorModel, part: Part, held: str | None, values: tuple[float, float, float, float] | None
+) -> Component:
+    """The record of a part; `values` are its factor, its limits and its standard error, if it is estimated."""
+    source = model.sources[part.source]
+    axes = source.sigma_axes if part.axis is None else (source.axes[part.axis],)
+    sigma = np.asarray(source.sigma, np.float64)
+    stated = sigma if part.axis is None else sigma[[part.axis]]
+    if values is not None:
+        return Component(part.label, axes, source.unit, stated, *values, None)
+    why = held or "the points hold one realisation of it: a fixed effect"
+    return Component(part.label, axes, source.unit, stated, 1.0, 1.0, 1.0, math.nan, why)
+
+
+def _without_fix(found: CheckErrors) -> tuple[str, ...]:
+    """Names of the points that have no fix, each with its status."""
+    points = found.points
+    rows = np.setdiff1d(np.arange(len(points)), found.index)
+    return tuple(f"{points.points[row]} ({Status(int(found.seen.status[row])).name})" for row in rows)
 
 
 def _reason_to_hold(part: Part, model: ErrorModel, hold: tuple[type[AbstractSource], ...]) -> str | None:
@@ -230,11 +245,6 @@ def _effects(
 def _axes_of(model: ErrorModel, part: Part) -> tuple[str, ...]:
     source = model.sources[part.source]
     return source.sigma_axes if part.axis is None else (source.axes[part.axis],)
-
-
-def _stated_sigma(model: ErrorModel, part: Part) -> np.ndarray:
-    sigma = np.asarray(model.sources[part.source].sigma, np.float64)
-    return sigma if part.axis is None else sigma[[part.axis]]
 
 
 def _calibrated(errors: Any, model: ErrorModel, parts: list[Part], scales: list[float]) -> ErrorModel:

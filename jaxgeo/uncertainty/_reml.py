@@ -11,6 +11,7 @@ import numpy as np
 import scipy  # submodules load lazily, when first used
 
 ZERO = -16.0  # logarithm of a scale that counts as zero
+LARGEST = 9.0  # logarithm of the largest scale that is tried
 SMALLEST = -5.0  # logarithm of a scale below which zero is tried
 FARTHEST = math.log(1e3)  # of a scale's limits from its estimate
 CLOSE, MOST_STEPS = 1e-3, 20  # of the search for a limit, in logarithms
@@ -65,7 +66,10 @@ class Likelihood:
         scale = np.exp(2.0 * x)
         sizes = np.diff([*self.first, len(self.pull)])
         each = np.repeat(np.exp(x), sizes)
-        root = np.linalg.cholesky(np.eye(len(each)) + each[:, None] * self.gram * each[None, :])
+        try:
+            root = np.linalg.cholesky(np.eye(len(each)) + each[:, None] * self.gram * each[None, :])
+        except np.linalg.LinAlgError:  # scales so large that rounding exceeds the noise: a step that is refused
+            return At(math.inf, np.zeros(len(x)), np.eye(len(x)))
         right = np.concatenate([each[:, None] * self.gram, (each * self.pull)[:, None]], axis=1)
         solved = scipy.linalg.solve_triangular(root, right, lower=True, check_finite=False)
         inner = self.gram - solved[:, :-1].T @ solved[:, :-1]  # B' W B
@@ -86,7 +90,7 @@ class Likelihood:
                 key = some.tobytes()
                 if key not in kept:
                     kept.clear()
-                    x[free] = np.clip(some, ZERO, -ZERO)
+                    x[free] = np.clip(some, ZERO, LARGEST)
                     kept[key] = self.at(x)
                 return kept[key]
 
@@ -98,7 +102,7 @@ class Likelihood:
                 method="trust-exact",
                 options={"gtol": 1e-4, "initial_trust_radius": 1.0, "max_trust_radius": 4.0, "maxiter": 200},
             )
-            x[free] = np.clip(found.x, ZERO, -ZERO)
+            x[free] = np.clip(found.x, ZERO, LARGEST)
         last = self.at(x)
         return Minimum(x, last.misfit, last.information)
 

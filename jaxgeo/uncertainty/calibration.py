@@ -81,7 +81,7 @@ class Calibration:
       determine.
     - `contrasts`: number of independent errors left by the fixed effects; `pixels` are those with a fix.
     - `gain`: twice the gain in log likelihood over the stated sigmas.
-    - `without_fix`: names of points that have no fix and are left out.
+    - `without_fix`: points that have no fix and are left out, with their statuses.
     """
 
     components: tuple[Component, ...]

@@ -10,6 +10,7 @@ import scipy.optimize
 
 import jaxgeo
 from jaxgeo._blas_threads import one_thread
+from jaxgeo.status import Status
 from jaxgeo.uncertainty import Calibration, CheckPoints, calibrate_errors, sources
 from jaxgeo.uncertainty._calibrate import _calibrate
 from jaxgeo.uncertainty._reml import Likelihood
@@ -49,6 +50,13 @@ def drawn(found: CheckErrors, count: int, seed: int, factor: float = 2.0) -> np.
 def test_simulated_points_by_the_exact_model(points) -> None:
     """The simulation, and the first compilation."""
     assert len(points) == 36
+
+
+def test_roots_of_the_parts(found) -> None:
+    for part, ranks in zip(found.parts(), (3 * 18, 3 * 18, 3 * 3), strict=True):  # 18 images of 3 flights
+        root = part.root()
+        assert root.shape == (108, ranks)
+        np.testing.assert_allclose(root @ root.T, part.covariance, atol=1e-12)  # m2
 
 
 @pytest.fixture
@@ -164,6 +172,18 @@ def test_a_source_that_is_not_there_is_zero(found) -> None:
     assert position.least == 0.0
     assert 0.0 < position.most < 1.5
     assert "at zero" in position.words
+
+
+def test_points_without_a_fix_are_named(found) -> None:
+    status = np.array(found.seen.status)
+    status[3] = Status.leaves_terrain
+    keep = np.flatnonzero(status == Status.hit)
+    rows = (3 * keep[:, None] + np.arange(3)).reshape(-1)
+    lost = found._replace(seen=found.seen._replace(status=status), index=keep, noise=found.noise[np.ix_(rows, rows)])
+    one = calibrated(lost)
+    assert one.without_fix == ("3 (leaves_terrain)",)
+    assert "Left out, without a fix: 3 (leaves_terrain)." in one.words
+    assert one.pixels == 35
 
 
 def test_mistakes(points, found) -> None:
