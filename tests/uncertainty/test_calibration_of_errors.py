@@ -110,9 +110,9 @@ def test_the_minimum_is_that_of_another_search(likelihood) -> None:
 
 
 def test_intervals_hold_the_true_sigmas(found) -> None:
-    """6 sets of errors twice as large as stated, seed 11; more in a slow test."""
+    """4 sets of errors twice as large as stated, seed 11; more in a slow test."""
     held = []
-    for error in drawn(found, 6, 11):
+    for error in drawn(found, 4, 11):
         each = calibrated(with_errors(found, error)).components
         held += [one.least <= 2.0 <= one.most for one in each]
     assert np.mean(held) > 0.8
