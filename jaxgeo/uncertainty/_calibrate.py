@@ -50,8 +50,8 @@ def calibrate_errors(
     the mean error in east, north and up (`remove_mean`), and the errors of sources of which the points hold one
     realisation only, such as a boresight in one flight; their sigmas stay as stated, as do those of the classes `hold`.
 
-    Confidence intervals are those of the profile likelihood, since normal ones of few realisations are too short below
-    and too long above; a factor of zero has the lower limit zero. `standard_error` is that of the logarithm of a
+    Confidence intervals are those of the profile likelihood, which is not symmetric if there are few realisations; a
+    factor of zero has the lower limit zero. `standard_error` is that of the logarithm of a
     factor, from the expected information, whose eigenvectors show what the points cannot tell apart. Of errors that
     are not normal the variances are used.
 
