@@ -117,6 +117,8 @@ LONG_LINES = [
     f"rectify {SMALL} --like ortho.tif -o out.tif",
     f"accuracy-map {SCENE} --vertical-datum EPSG:5773 --crs EPSG:32616 --resolution 1000 --samples 0 "
     "--probability 0.95 --json -o out.tif",
+    "validate images --points points.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif --point-sigma "
+    "0.1 --pixel-sigma 1 --calibrate out.toml --json -o out.png",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px "
     "--reference-sigma 5 --registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 "
     "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
@@ -137,6 +139,12 @@ MANY_MORE = [
     "accuracy-map FILE --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
     "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
     f"accuracy-map {SCENE} {READING} -o out.tif",
+    f"validate {SCENE} --points points.csv --points-datum ellipsoid --pixel-origin corner {READING} -o out.png",
+    "validate FILE --points p --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 "
+    "--upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p",
+    f"validate {SCENE} --points p --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma "
+    "3px --principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --vertical-datum EPSG:5773 --calibrate e.toml "
+    "--each-axis --debug",
     f"accuracy-map {SCENE} --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
     "--principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --bounds 1,2,3,4 --cog --debug -o out.tif",
 ]
@@ -303,6 +311,21 @@ REFUSED = [
     (f"overlap {SCENE} --shots shots.csv -o no/out.csv", r"--output no/out\.csv: there is no folder no;.*"),
     (f"plan {SCENE} --navigation flight.csv --overlap 0.1 -o no/out.csv", r"--output no/out\.csv: .*no folder.*"),
     ("inspect flight.klv -o no/out.csv", r"--output no/out\.csv: there is no folder no;.*"),
+    (
+        "validate DJI_0042.JPG --points gcp_list.txt --height-datum ellipsoid --ground 300",
+        r"--points gcp_list\.txt: state the vertical datum of its heights with --points-datum.*",
+    ),
+    (
+        "validate DJI_0042.JPG --points points.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif",
+        r"image DJI_0043\.JPG of point P2 is not among the images: DJI_0042\.JPG\.",
+    ),
+    (
+        "validate DJI_0042.JPG --points empty.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif",
+        r"empty\.csv: .*",
+    ),
+    ("validate DJI_0042.JPG --points points.csv --ground 3 --each-axis", r"--each-axis is for the calibrated sigmas.*"),
+    ("validate DJI_0042.JPG --points points.csv --ground 3 -o a.gif", r"--output a\.gif: unsupported .*; use \.png.*"),
+    ("validate DJI_0042.JPG --points points.csv --ground 3 --calibrate a.csv", r"--calibrate a\.csv: .*; use \.toml\."),
     ("demo -o no/out.png", r"--output no/out\.png: there is no folder no;.*"),
     ("study li2020 -o empty.csv", r"--output empty\.csv: this is a file; name a folder for the results\."),
     ("study gu2017 --image image.tif", r"a real image needs --reference, --dem, --scene as well;.*"),

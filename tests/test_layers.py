@@ -13,7 +13,7 @@ LAYERS = [
     (
         "_typing _checks _compile _digest _elementary _export _numerics _record status least_squares _destination "
         "_partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
-        "_parallel _sweep _sweep_store batches _accelerator"
+        "_parallel _sweep _sweep_store batches _accelerator _blas_threads"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._blas_threads import one_thread
 from jaxgeo._numerics import matmul3
-from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Tridiagonal, factored

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._blas_threads import one_thread
 from jaxgeo._record import Record
-from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
 from jaxgeo.adjust.equations import Equations

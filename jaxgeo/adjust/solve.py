@@ -15,9 +15,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._blas_threads import one_thread
 from jaxgeo._renamed import renamed_argument, warn_renamed
 from jaxgeo._typing import Scalar
-from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.arrays import Problem, step_of
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, cost_of, linearised

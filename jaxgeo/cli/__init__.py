@@ -1,7 +1,7 @@
 """The command line `jaxgeo`.
 
 `inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them,
-`accuracy-map` maps the accuracy of all places on an image;
+`accuracy-map` maps the accuracy of all places on an image; `validate` compares stated errors with check points;
 `footprint`, `point`, `overlap` and `plan` are for coverage and mission planning; `rectify` orthorectifies images,
 `register` estimates their orientation from a map; `demo` is an example; `study` reproduces published results.
 
@@ -36,6 +36,7 @@ from jaxgeo.cli.rectify import rectify_command
 from jaxgeo.cli.register import register_command
 from jaxgeo.cli.report import report_command
 from jaxgeo.cli.study import studies
+from jaxgeo.cli.validate import validate_command
 
 EPILOG = """[bold]Exit codes[/bold]
     0  done
@@ -84,6 +85,7 @@ _add("inspect", inspect_command)
 _add("locate", locate_command)
 _add("report", report_command)
 _add("accuracy-map", accuracy_map_command)
+_add("validate", validate_command)
 _add("footprint", footprint_command)
 _add("point", point_command)
 _add("overlap", overlap_command)

@@ -23,6 +23,11 @@ EXAMPLES = {
         f"jaxgeo accuracy-map {SCENE} --resolution 200 -o accuracy.tif",
         "jaxgeo accuracy-map DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --resolution 2 -o accuracy.tif",
     ),
+    "validate": (
+        "jaxgeo validate images --points gcp_list.txt --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif",
+        "jaxgeo validate images --points points.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif "
+        "--calibrate errors.toml -o validation.png",
+    ),
     "footprint": (
         f"jaxgeo footprint {SCENE}",
         f"jaxgeo footprint {SCENE} --shots shots.csv -o footprints.gpkg --crs EPSG:32616",

@@ -19,9 +19,11 @@ if TYPE_CHECKING:
         with_usual_errors,
     )
     from jaxgeo.io.bal import BalProblem, read_bal, write_bal
+    from jaxgeo.io.check_points import SurveyedPixels, check_points_of, read_check_points
     from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
     from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
     from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
+    from jaxgeo.io.errors_writer import errors_table, write_errors
     from jaxgeo.io.exposures import write_exposures
     from jaxgeo.io.files import DemFiles, open_dem
     from jaxgeo.io.fix_files import write_fixes
@@ -63,12 +65,15 @@ __all__ = [
     "OrthoimageReport",
     "Reconstruction",
     "RectifiedFile",
+    "SurveyedPixels",
     "TableError",
     "TieRow",
     "UnstatedDatum",
     "VerticalDatumError",
     "accuracy_map_dataset",
     "accuracy_of_observations",
+    "check_points_of",
+    "errors_table",
     "example_dem",
     "height_msl",
     "intersect_files",
@@ -79,6 +84,7 @@ __all__ = [
     "read_acquisition",
     "read_acquisitions",
     "read_bal",
+    "read_check_points",
     "read_dem",
     "read_dem_and_report",
     "read_gcp_list",
@@ -98,6 +104,7 @@ __all__ = [
     "with_usual_errors",
     "write_accuracy_map",
     "write_bal",
+    "write_errors",
     "write_exposures",
     "write_fixes",
     "write_footprints",
@@ -116,9 +123,11 @@ _NAMES_OF = {
     "acquisitions": "Acquisition AcquisitionSet UnstatedDatum read_acquisition read_acquisitions with_positions "
     "with_usual_errors",
     "bal": "BalProblem read_bal write_bal",
+    "check_points": "SurveyedPixels check_points_of read_check_points",
     "datasets": "accuracy_map_dataset samples_dataset",
     "dem": "DemReport example_dem read_dem read_dem_and_report",
     "errors": "DemError ImageError TableError VerticalDatumError",
+    "errors_writer": "errors_table write_errors",
     "exposures": "write_exposures",
     "files": "DemFiles open_dem",
     "fix_files": "write_fixes",

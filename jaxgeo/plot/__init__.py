@@ -12,7 +12,7 @@ window.
 - Charts stand alone and include a legend (`legend=False` omits it): `budget_bars`, `error_cloud`, `sight_section`,
   `residual_arrows`, `residual_histogram`, `shifts`, `ties_on_map`, `circles_on_map`. `overlap_along`, `checkerboard`
   and `convention` need no legend.
-- `conventions_figure` and `registration_figure` are whole pages, and return the figure.
+- `conventions_figure`, `registration_figure` and `validation_figure` are whole pages, and return the figure.
 
 `style.style(width)` returns matplotlib settings for a figure in print; `style` also defines the colours and their
 meanings.
@@ -52,6 +52,7 @@ from jaxgeo.plot.registration import checkerboard, circles_on_map, shifts, ties_
 from jaxgeo.plot.registration_page import registration_figure
 from jaxgeo.plot.sightline import Section, section_under, sight_section
 from jaxgeo.plot.style import EDGE, FIX, HIDDEN, SIGHT
+from jaxgeo.plot.validation import validation_figure
 
 __all__ = [
     "EDGE",
@@ -97,4 +98,5 @@ __all__ = [
     "sight_section",
     "style",
     "ties_on_map",
+    "validation_figure",
 ]

@@ -56,9 +56,9 @@ def error_cloud(
     three by name, are drawn beside the samples. An `AccuracyCheck` provides samples and one answer: the circle of its
     accuracy at its probability, the share of the samples within, and the ellipse if it is by linear propagation. A
     `Comparison` provides samples and linear propagation over facet and footprint, and its verdict is in the legend.
-    With a `dem` the terrain about the fix is drawn below. `reach` is half the side in m. By default it holds 99 % of the
-    samples, 99 % of those that jumped, and all circles, but at most eight times the largest circle; samples outside are
-    counted in a note. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no fix,
+    With a `dem` the terrain about the fix is drawn below. `reach` is half the side in m. By default it holds 99 % of
+    the samples, 99 % of those that jumped, and all circles, but at most eight times the largest circle; samples outside
+    are counted in a note. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no fix,
     marks of another number, a probability outside (0, 1), more than three propagations and a reach that is not
     positive.
     """

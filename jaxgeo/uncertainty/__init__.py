@@ -5,6 +5,7 @@ from jaxgeo.uncertainty import datasheet, distributions, metrics, presets, sourc
 from jaxgeo.uncertainty._accuracy import accuracy
 from jaxgeo.uncertainty._accuracy_map import AccuracyMap, accuracy_map
 from jaxgeo.uncertainty._budget import Budget, budget
+from jaxgeo.uncertainty._calibrate import calibrate_errors
 from jaxgeo.uncertainty._compare import Comparison, compare
 from jaxgeo.uncertainty._deprecated import accuracy_of_each as accuracy_of_each
 from jaxgeo.uncertainty._deprecated import accuracy_of_pixels as accuracy_of_pixels
@@ -13,8 +14,11 @@ from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_d
 from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
+from jaxgeo.uncertainty._validate import validate
 from jaxgeo.uncertainty.accuracy_check import AccuracyCheck, check_accuracy
 from jaxgeo.uncertainty.accuracy_record import Accuracy
+from jaxgeo.uncertainty.calibration import Calibration
+from jaxgeo.uncertainty.check_points import CheckPoints
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.intervals import Share
@@ -30,6 +34,7 @@ from jaxgeo.uncertainty.sampling import Sampling
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
+from jaxgeo.uncertainty.validation import Validation
 
 __all__ = [
     "NO_FIX",
@@ -38,6 +43,8 @@ __all__ = [
     "AccuracyCheck",
     "AccuracyMap",
     "Budget",
+    "Calibration",
+    "CheckPoints",
     "Comparison",
     "Design",
     "Diagnostics",
@@ -68,9 +75,11 @@ __all__ = [
     "SobolIndices",
     "Systematic",
     "TimeCorrelated",
+    "Validation",
     "accuracy",
     "accuracy_map",
     "budget",
+    "calibrate_errors",
     "certified_design",
     "check_accuracy",
     "circular_error",
@@ -92,6 +101,7 @@ __all__ = [
     "sobol_indices",
     "sources",
     "spherical_error",
+    "validate",
 ]
 
 DEPRECATED = {

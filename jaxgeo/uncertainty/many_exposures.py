@@ -54,7 +54,7 @@ class Batch(NamedTuple):
 
 def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Request) -> Accuracy:
     """`accuracy` of n exposures, of arguments in the order of `NAMES`; traced ones are evaluated all at once."""
-    batch, number = _check_batch(given, in_axes, request.search)
+    batch, number = check_batch(given, in_axes, request.search)
     options = (batch.shared, batch.axes, request.search, request.probability)
     note = batch.given[NAMES.index("errors")].left_out
     if not is_known(batch.given):
@@ -68,7 +68,7 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     nominals, found, radii = assessed
 
     def observation_at(index: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
-        inputs, model = _inputs_of(batch.at(index))
+        inputs, model = inputs_of(batch.at(index))
         return inputs, take(nominals, index), model
 
     probability, sampling = float(request.probability), request.sampling
@@ -77,7 +77,7 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     return batch_of(nominals.fix, probability, columns, *linear, int(sampling.count or 0), (number,), note)
 
 
-def _check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -> tuple[Batch, int]:
+def check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -> tuple[Batch, int]:
     """(the arguments in float64 with their axes, number of exposures); the first exposure is checked as alone."""
     sensor, shot, uv, terrain, errors, time, air = given
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(_as_tuple(errors))
@@ -126,7 +126,7 @@ def _merge(own: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes) -> tuple[A
     return tuple(a if axis == 0 else b for a, b, axis in zip(own, shared, axes, strict=True))
 
 
-def _inputs_of(given: tuple[Any, ...]) -> tuple[ModelInputs, ErrorModel]:
+def inputs_of(given: tuple[Any, ...]) -> tuple[ModelInputs, ErrorModel]:
     """Forward-model inputs and error model of one exposure."""
     sensor, shot, uv, terrain, model, time, air = given
     return ModelInputs.of_checked(sensor, shot, time, uv, terrain, air), model
@@ -134,7 +134,7 @@ def _inputs_of(given: tuple[Any, ...]) -> tuple[ModelInputs, ErrorModel]:
 
 def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
     """The same of one exposure, by the programs of a call of `accuracy` for it."""
-    inputs, model = _inputs_of(given)
+    inputs, model = inputs_of(given)
     nominal = inputs.nominal_fix(request.search)
     if not bool(counts_as_fix(jnp.asarray(nominal.fix.status))):
         unknown = jnp.asarray(np.nan)
@@ -154,7 +154,7 @@ def _assess_block(
     lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
 ) -> Assessed:
     def one(own: tuple[Any, ...]) -> tuple[NominalFix, LinearAccuracy]:
-        inputs, model = _inputs_of(_merge(own, shared, axes))
+        inputs, model = inputs_of(_merge(own, shared, axes))
         nominal = inputs.nominal_fix(search)
         return nominal, assess_fix(inputs, nominal, model, probability)
 

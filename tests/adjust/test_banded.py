@@ -13,6 +13,7 @@ import pytest
 import threadpoolctl
 
 from jaxgeo import FrameCamera
+from jaxgeo._blas_threads import one_thread
 from jaxgeo.adjust import (
     Adjustment,
     Block,
@@ -31,7 +32,6 @@ from jaxgeo.adjust import (
     reliability,
 )
 from jaxgeo.adjust import layout as layouts
-from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.banded import Tridiagonal, band_of, factored, one_slab, selected_inverse
 from jaxgeo.adjust.measurements import image_residuals
 from jaxgeo.adjust.problem import prepared

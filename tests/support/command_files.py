@@ -48,6 +48,15 @@ RECONSTRUCTION = {
     "points": {},
     "reference_lla": {"latitude": LAT, "longitude": LON, "altitude": 800.0},
 }
+# Ground points of pixels of DJI_0042.JPG, some metres off: name, pixel, latitude, longitude, ellipsoidal height.
+CHECKED = (
+    "P1,400,500,36.3138834,-84.0987752,285.195",
+    "P2,3400,700,36.3122223,-84.1061130,278.477",
+    "P3,900,1500,36.3158598,-84.1017404,342.070",
+    "P4,2900,1600,36.3149145,-84.1054871,333.124",
+    "P5,500,2600,36.3175985,-84.1023704,384.501",
+    "P6,3500,2500,36.3161855,-84.1067089,376.841",
+)
 SMALL = (192, 256)  # rows and columns of the image for rectification and registration
 CELL, SIDE, WEST, NORTH = 10.0, 400, 744_100.0, 4_021_600.0  # map: cell size in m, cells, and its corner in UTM zone 16
 SMALL_POSE = {"lat": 36.29, "lon": -84.26, "height": 3500.0, "heading": 30.0, "pitch": 1.0, "roll": -2.0}
@@ -120,6 +129,23 @@ def _copy(of: pathlib.Path) -> Callable[[pathlib.Path], object]:
     return lambda path: shutil.copy(of, path)
 
 
+def _points(path: pathlib.Path) -> None:
+    header = "image,point,u,v,lat_deg,lon_deg,height_m"
+    rows = []
+    for number, row in enumerate(CHECKED):
+        name, *rest = row.split(",")
+        rows.append(",".join([f"DJI_004{2 + number % 2}.JPG", name, *rest]))
+    path.write_text("\n".join([header, *rows]) + "\n")
+
+
+def _gcp_list(path: pathlib.Path) -> None:
+    rows = []
+    for number, row in enumerate(CHECKED):
+        name, u, v, lat, lon, height = row.split(",")
+        rows.append(f"{lon} {lat} {height} {u} {v} DJI_004{2 + number % 2}.JPG {name}")
+    path.write_text("\n".join(["WGS84", *rows]) + "\n")
+
+
 FILES: dict[str, Callable[[pathlib.Path], object]] = {
     "scene.toml": _copy(scene_file()),
     "dem.tif": _copy(DEM),
@@ -127,6 +153,8 @@ FILES: dict[str, Callable[[pathlib.Path], object]] = {
     "flight.csv": _flight,
     "DJI_0042.JPG": _image,
     "images": _images,
+    "points.csv": _points,
+    "gcp_list.txt": _gcp_list,
     "flight.klv": _telemetry,
     "mission.sbet": _sbet,
     "opk.csv": lambda path: path.write_text(OPK),
