@@ -58,8 +58,8 @@ def error_cloud(
     `Comparison` provides samples and linear propagation over facet and footprint, and its verdict is in the legend.
     With a `dem` the terrain about the fix is drawn below. `reach` is half the side in m. By default it holds 99 % of
     the samples, 99 % of those that jumped, and all circles, but at most eight times the largest circle; samples outside
-    are counted in a note. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no fix,
-    marks of another number, a probability outside (0, 1), more than three propagations and a reach that is not
+    are counted in a note. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no
+    fix, marks of another number, a probability outside (0, 1), more than three propagations and a reach that is not
     positive.
     """
     compared = errors if isinstance(errors, Comparison) else None
