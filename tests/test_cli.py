@@ -127,6 +127,7 @@ def test_a_pixel_that_is_no_number_is_refused(pixel: str) -> None:
     assert f"--pixel '{pixel}': expected COLUMN,ROW" in " ".join(result.stderr.split())
 
 
+@pytest.mark.costly
 def test_only_the_readings_of_the_gimbal_are_numbers(shots_file) -> None:
     extra = {"gimbal_note": "fine day", "gimbal_yaw_deg": "n/a", "gimbal_serial": "007"}
     lines = all_rows().splitlines()

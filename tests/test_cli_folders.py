@@ -135,6 +135,7 @@ def test_the_accuracy_of_an_image_without_rtk_is_its_own(sure: dict) -> None:
     assert any("Position sigma: 3, 3, 5 m" in one and one.endswith("(1 of 2 exposures)") for one in sure["assumed"])
 
 
+@pytest.mark.costly
 def test_what_is_assumed_is_merged_sentences_with_the_number_of_files(located: dict) -> None:
     told = located["assumed"]
     assert len(told) == len(set(told))

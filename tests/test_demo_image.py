@@ -51,6 +51,7 @@ def test_tags_are_those_of_the_shot_with_its_errors(made):
     np.testing.assert_allclose(np.rad2deg(read.pose.heading) % 360.0, np.rad2deg(written.pose.heading), atol=0.0051)
 
 
+@pytest.mark.costly
 def test_tags_err_by_draws_of_the_usual_errors(made):
     off = []
     for seed in range(12):

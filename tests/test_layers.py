@@ -74,7 +74,7 @@ STATIC_NUMPY = {
     ("jaxgeo/uncertainty/linear.py", "Derivatives.propagation"): "is called with known arguments only",
     ("jaxgeo/uncertainty/radii.py", "_at_hand"): "leaves traced values as they are",
     **{
-        ("jaxgeo/uncertainty/metrics/_host.py", name): "is for known values; `host_radii` returns None for traced ones"
+        ("jaxgeo/uncertainty/metrics/_host.py", name): "is for known values; None is returned for traced ones"
         for name in ("host_radii", "_unit_radius", "_in_ball")
     },
 }

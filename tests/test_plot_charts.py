@@ -127,6 +127,7 @@ def test_a_comparison_shows_both_by_ellipse_and_circle(ax) -> None:
     assert said(ax).startswith(one.verdict)
 
 
+@pytest.mark.costly
 def test_an_ellipse_of_samples_holds_its_share(ax) -> None:
     plot.error_cloud(compared(), ax, propagations={})
     inside = matplotlib.path.Path(line(ax, "_ellipse, sampled")).contains_points(line(ax, "_samples"))

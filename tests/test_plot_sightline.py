@@ -88,6 +88,7 @@ def test_a_straight_line_bends_up_over_the_ellipsoid(demo) -> None:
     np.testing.assert_allclose(found.ground[np.isfinite(found.ground)], LEVEL, rtol=0, atol=1e-9)
 
 
+@pytest.mark.costly
 def test_a_second_ridge_is_a_farther_hit(demo) -> None:
     """Two walls across a low line of sight: it goes into the first, comes out, and goes into the second."""
     dem = demo[1]

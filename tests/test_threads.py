@@ -79,6 +79,7 @@ def test_locate_and_sample_over_terrain() -> None:
     assert_equal(found, one(0))
 
 
+@pytest.mark.costly
 def test_elevation_models_and_geoids(tmp_path: pathlib.Path) -> None:
     """Operations of PROJ, which are kept, files, which are opened, and Python's filters of warnings."""
     paths = [

@@ -22,6 +22,7 @@ from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.method_selection import Method
 from jaxgeo.uncertainty.metrics import circular_error
+from jaxgeo.uncertainty.metrics._host import host_slopes
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.slopes import along_plane
@@ -184,7 +185,11 @@ def error_and_slopes(linear: Linear, sigma: Sigmas, probability: Scalar) -> tupl
     The chain rule over the covariance keeps the part that is slow to compile the same for all error models.
     """
     cov, by_sigma = _level_and_slopes(linear, sigma)
-    error, by_cov = _error_and_slopes(cov, probability, linear.bias_enu[:2])
+    bias = linear.bias_enu[:2]
+    error: Any = circular_error(cov, probability, bias)
+    by_cov = host_slopes(cov, error, bias)
+    if by_cov is None:
+        error, by_cov = _error_and_slopes(cov, probability, bias)
     return error, jnp.sum(by_cov[:, :, None] * by_sigma, axis=(0, 1))
 
 

@@ -333,6 +333,7 @@ def test_the_unit_of_weight_does_not_matter(calibrated: Adjustment) -> None:
         assert three.prior == pytest.approx(3.0 * one.prior)
 
 
+@pytest.mark.costly
 def test_a_tight_prior_holds_and_a_loose_one_does_nothing(calibrated: Adjustment) -> None:
     tight = adjust(calibrated.block, replace(EVERYTHING, boresight=Prior(1e-12), focal=Prior(1e-9)))
     by_name = {p.name: p for p in tight.parameters}
@@ -630,6 +631,7 @@ def test_covariances_are_those_of_many_draws() -> None:
     assert abs(np.mean(sigma0) / found.redundancy - 1.0) < 5.0 * np.sqrt(2.0 / (draws * found.redundancy))
 
 
+@pytest.mark.costly
 def test_draws_of_any_kind_of_shot_are_of_its_standard_deviations() -> None:
     """W of the attitude is that of heading, pitch and roll, or of the reference's axes, at any attitude."""
     from jaxgeo.adjust.navigation import navigation_of

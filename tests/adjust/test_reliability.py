@@ -141,6 +141,7 @@ def test_robust_losses_hardly_feel_a_blunder(good: Adjustment, loss: Any) -> Non
     )
 
 
+@pytest.mark.costly
 def test_what_an_error_shows_of_itself_is_its_redundancy_number(good: Adjustment) -> None:
     row, size = often_seen(good.block), 0.05
     moved = adjust(with_blunder(good.block, row, np.array([size, 0.0])))

@@ -66,6 +66,7 @@ def test_the_fixes_are_those_of_observations(frames: Any, sensor: jaxgeo.Sensor)
     assert np.isnan(found["fix_lon_deg"][:, 2]).all()
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("chunked", [["u", "v"], ["height_m"], ["lat_deg"]])
 def test_some_variables_may_be_those_of_dask(frames: Any, sensor: jaxgeo.Sensor, chunked: list[str]) -> None:
     mixed = frames.assign({name: frames[name].chunk() for name in chunked})
@@ -74,6 +75,7 @@ def test_some_variables_may_be_those_of_dask(frames: Any, sensor: jaxgeo.Sensor,
     xarray.testing.assert_identical(found.compute(), locate_dataset(frames, sensor, GROUND))
 
 
+@pytest.mark.costly
 def test_what_is_given_may_be_coordinates(frames: Any, sensor: jaxgeo.Sensor) -> None:
     """Of a dimension too: a picture's columns."""
     found = locate_dataset(frames.set_coords(["lat_deg", "lon_deg"]).isel(pixel=[0, 1]), sensor, GROUND)

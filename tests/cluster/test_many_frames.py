@@ -276,6 +276,7 @@ def test_a_missing_tile_stops_only_its_parts(tmp_path: pathlib.Path, frames: Obs
     assert content(tmp_path / "fixes") == content(tmp_path / "whole")
 
 
+@pytest.mark.costly
 def test_ground_that_is_too_large_is_a_row_with_its_reason(frames: Observations, tiles) -> None:
     some = frames.part(0, np.arange(20))
     files = open_dem(tiles, vertical_datum="ellipsoid")

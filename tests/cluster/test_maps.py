@@ -138,6 +138,7 @@ def painted(folder: pathlib.Path, names: list[str], whole: Any) -> tuple[np.ndar
     return values, known
 
 
+@pytest.mark.costly
 def test_the_mosaic_shows_all_frames(made: Made) -> None:
     with rasterio.open(made.folder / "mosaic.vrt") as whole:
         values, known = painted(made.folder, ["frame-00000.tif", "frame-00001.tif"], whole)

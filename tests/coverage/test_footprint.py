@@ -275,6 +275,7 @@ def test_at_nadir_where_nothing_rounds_too():
     assert float(found.across) == pytest.approx(float(found.columns), rel=1e-9)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("outer", [15.0, 45.0, 75.0])
 @pytest.mark.parametrize("heading", [0.0, 130.0])
 def test_on_level_ground_a_pixel_is_its_angle_over_the_cosine(outer, heading):

@@ -255,6 +255,7 @@ def test_images_that_miss_each_other_sideways_are_gaps_to_both_ways():
     assert low - 0.04 <= linear <= high + 0.04  # a frame farther out is a larger one: the second order
 
 
+@pytest.mark.costly
 def test_a_quantile_needs_flights_to_rest_on():
     with pytest.raises(ValueError, match="512 flights say too little"):
         required_overlap(strip(), NOISE, free=0.9999, key=KEY, flights=512)

@@ -327,6 +327,7 @@ def check_nearest(name: str, seed: int, lanes: int, nodes: int) -> None:
         assert found.miss[k] <= least + 1e-9, (k, Status(int(found.status[k])), found.miss[k], least)
 
 
+@pytest.mark.costly
 def test_with_lever_arms_nothing_comes_nearer_but_for_what_a_lever_is_of_the_way():
     """Levers of a third of a metre over 1.5 km and more; also against readings all around the answer."""
     sensor = SENSORS["two axes"]

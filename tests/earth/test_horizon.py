@@ -30,6 +30,7 @@ def test_close_to_the_ground_the_air_straightens_the_earth_by_the_curvature_of_i
     assert float(seen.distance) == pytest.approx(np.sqrt(2.0 * 20.0 * R / (1.0 - k)), rel=2e-4)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("height", [3000.0, 10_000.0])
 def test_bent_rays_end_at_the_horizon(height):
     """Those a little steeper than it come down, those a little less steep do not."""

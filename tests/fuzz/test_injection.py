@@ -53,6 +53,7 @@ def harmful(text: str) -> set[str]:
     return {character for character in text if character != "\n" and unicodedata.category(character) in FORBIDDEN}
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", NAMES)
 def test_no_name_reaches_the_terminal_as_more_than_text(tmp_path: pathlib.Path, name: str) -> None:
     result = CliRunner().invoke(app, ["inspect", str(hostile(tmp_path, (name,))), "--height-datum", "ellipsoid"])

@@ -116,6 +116,7 @@ def test_a_missing_tile_is_never_hit(ridge: pathlib.Path, tmp_path: pathlib.Path
         same(fix, answers(into, whole(path, void_ceiling=ceiling)))
 
 
+@pytest.mark.costly
 def test_pixels_of_a_shot_see_the_same_ground(ridge: pathlib.Path) -> None:
     """`locate_files` is `locate` over the whole, pixels beside the image included."""
     camera = jaxgeo.FrameCamera.from_pixels(focal_px=800.0, width=640, height=480)

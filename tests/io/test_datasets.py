@@ -87,6 +87,7 @@ def test_on_a_map_it_names_its_crs_by_cf(tmp_path: pathlib.Path, found: Accuracy
         assert told["status"].attrs["flag_meanings"].split()[0] == "hit"
 
 
+@pytest.mark.costly
 def test_rasters_that_do_not_fit_are_refused(found: AccuracyMap) -> None:
     with pytest.raises(ValueError, match=r"the raster has \(3, 2\) cells"):
         accuracy_map_dataset(found, UTM._replace(shape=(3, 2)))

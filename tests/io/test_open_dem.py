@@ -152,6 +152,7 @@ def test_what_cannot_be_one_terrain_is_refused(tmp_path: pathlib.Path, case: str
         read_dem(paths(tmp_path), vertical_datum="ellipsoid")
 
 
+@pytest.mark.costly
 def test_a_damaged_tile_is_named_when_a_ray_needs_it(ridge: pathlib.Path, tmp_path: pathlib.Path) -> None:
     cut(tmp_path / "tiles", ridge_before_plain(), shared=False, compress="deflate")
     bad = tmp_path / "tiles" / "n5e5.tif"

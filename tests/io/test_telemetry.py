@@ -493,6 +493,7 @@ def test_a_file_cut_off_anywhere_gives_whole_packets_or_an_error(file: File) -> 
         assert any("cut off" in one or "1 of 2" in one for one in found.assumed) == (end >= len(MADE) + len(KEY))
 
 
+@pytest.mark.costly
 @given(st.dictionaries(st.integers(2, 140), st.binary(max_size=9), max_size=20), st.binary(max_size=30))
 @settings(deadline=None, database=None, derandomize=True, max_examples=60)
 def test_any_items_are_an_exposure_or_an_error(tmp_path_factory: pytest.TempPathFactory, changed, noise) -> None:

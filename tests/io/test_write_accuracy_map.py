@@ -72,6 +72,7 @@ def test_the_image_fills_the_map_that_was_made_for_it(tmp_path) -> None:
     assert found.shape == seen.shape
 
 
+@pytest.mark.costly
 def test_a_cloud_optimised_map_holds_the_same(tmp_path, written) -> None:
     """Tiled, laid out as a COG and said to be one, with the same numbers, place, names and tags."""
     place = {"crs": "EPSG:32632", "bounds": (645_000.0, 5_204_000.0, 646_100.0, 5_204_470.0), "resolution": 100.0}

@@ -132,6 +132,7 @@ def test_another_crs_is_refused(tmp_path: pathlib.Path, asked: dict[str, str]) -
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.costly
 def test_its_own_crs_may_be_named(tmp_path: pathlib.Path) -> None:
     left_out = ET.tostring(write(tmp_path / "fixes.kml"))
     assert ET.tostring(write(tmp_path / "fixes.kml", heights="EPSG:5773")) == left_out

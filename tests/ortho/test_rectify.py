@@ -322,6 +322,7 @@ def test_cubic_keeps_quadratics_and_nearest_classes() -> None:
     np.testing.assert_array_equal(found.values[0][found.known][away_from_half], classes[row, col][away_from_half])
 
 
+@pytest.mark.costly
 def test_what_the_image_does_not_know_the_map_does_not() -> None:
     sensor, terrain, grid = sensor_of(PLAIN), ground(), cells_about()
     known = np.ones((HEIGHT, WIDTH), bool)

@@ -118,6 +118,7 @@ def test_images_exchanged_give_the_opposite_shift() -> None:
     np.testing.assert_array_equal(there.searched, back.searched)
 
 
+@pytest.mark.costly
 def test_unknown_cells_have_no_influence() -> None:
     rectified, reference = pair(2)
     known, known_reference = ALL.copy(), ALL.copy()
@@ -271,6 +272,7 @@ def test_mistakes_are_named(change: dict, words: str) -> None:
         match_blocks(**(given | change))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("place", [(0.3, -0.2), (-0.45, 0.1), (0.0, 0.0)])
 def test_the_offset_of_a_peak_is_the_top_of_its_paraboloid(place: tuple[float, float]) -> None:
     """In cells, towards rows and columns that grow; one that would be further than half a cell away stays within."""

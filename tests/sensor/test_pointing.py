@@ -85,6 +85,7 @@ def test_held_axes_and_the_search_start_at_given_readings():
     np.testing.assert_allclose(drone.to_camera(shot, WGS84.to_ecef(POINT))[:2], 0.0, rtol=0, atol=1e-8)  # m
 
 
+@pytest.mark.costly
 def test_the_optical_axis_is_the_default():
     shot = point_shot(WIDE, POSE, POINT, time=7.0)
     sight = WIDE.to_camera(shot, WGS84.to_ecef(POINT))

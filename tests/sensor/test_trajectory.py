@@ -105,6 +105,7 @@ def test_with_velocities_and_rates_it_is_of_fourth_order():
         assert fine[k] < errors(flown(0.5))[k]
 
 
+@pytest.mark.costly
 def test_velocity_and_rates_are_those_of_the_motion_and_have_no_steps():
     trajectory = flown(0.25)
     for t in (3.5, 3.9, 4.25 - 1e-9, 4.25 + 1e-9):
@@ -225,6 +226,7 @@ def test_degrees_for_radians_are_noticed():
         Trajectory.from_knots(trajectory.times, wild)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("length", [0.0, 1e-9, 1e-4, 0.7e-4, 0.3, 2.0, 3.0])
 def test_rotation_vectors_come_back_and_their_rates_follow_the_body(length):
     rotation = length * jnp.array([0.6, -0.48, 0.64])

@@ -63,6 +63,7 @@ def test_pitch_agrees_with_the_formula_and_not_with_the_print(report) -> None:
     np.testing.assert_allclose(column(report, "pitch", "printed") / formula, 1.02155, rtol=0, atol=1e-4)
 
 
+@pytest.mark.costly
 def test_the_distance_of_eq_16_folds(report) -> None:
     """It cannot fall below zero: from 0.8 deg of heading on more turning gives less; and a roll moves it, wrongly."""
     by_heading, along = (column(report, "heading", field) for field in ("by_eq_16", "by_slant_range"))
@@ -211,6 +212,7 @@ def test_claims_are_complete(report) -> None:
         assert callable(resolve(one.function))
 
 
+@pytest.mark.costly
 def test_verdicts_of_what_is_not_flown(report) -> None:
     claims = li2020.claims_of(report)
     explained = [one.item for one in claims if one.verdict is Verdict.explained]

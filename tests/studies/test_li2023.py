@@ -72,6 +72,7 @@ def test_less_than_half_lie_in_the_band(pointing) -> None:
     assert sampled < 0.47
 
 
+@pytest.mark.costly
 def test_pointing_distribution_is_the_gaussians(pointing) -> None:
     """RMS from the distribution: the mean square is what the share above takes in."""
     found = pointing[0]
@@ -291,6 +292,7 @@ def test_tables_show_what_was_found(level, pointing) -> None:
     assert sheets.pointing_sheet(pointing).to_rich(100).row_count == 8
 
 
+@pytest.mark.costly
 def test_refusals(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", ""))
     with pytest.raises(ValueError, match="samples must be at least 2; got 1"):

@@ -102,6 +102,7 @@ def test_a_seed_gives_the_same_noise_over_the_same_points() -> None:
     assert noise.std() == pytest.approx(0.3, rel=0.05)
 
 
+@pytest.mark.costly
 def test_a_pair_is_two_neighbours_of_one_strip() -> None:
     block = xue2019.simulated(SMALL)
     left = adjacent_pairs(block)

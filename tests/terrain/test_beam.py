@@ -88,6 +88,7 @@ def test_nothing_stands_before_its_start(plain, beam, held):
     assert beam.start > 0.8 * float(jnp.median(plain.near))
 
 
+@pytest.mark.costly
 def test_only_what_lies_within_is_held(beam, dem):
     def holds(away: float, turn: float, rise: float) -> bool:
         across = jnp.stack([-MIDDLE.direction[1], MIDDLE.direction[0], jnp.asarray(0.0)])

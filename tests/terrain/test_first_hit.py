@@ -123,6 +123,7 @@ def test_a_camera_in_a_geostationary_orbit_sees_the_ground(elevation):
     assert fix.slant_range[0] == pytest.approx(3.95e7, abs=1e-6, rel=0)
 
 
+@pytest.mark.costly
 def test_a_ray_along_the_surface_is_near_tangent():
     posts = flat(100.0) + 30.0 * np.arange(SIZE)[:, None] * np.tan(np.deg2rad(20.0))
     rays = [

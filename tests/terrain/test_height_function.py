@@ -224,6 +224,7 @@ def test_a_parameter_that_is_no_number_is_invalid_input() -> None:
         assert Status(int(jaxgeo.intersect(ray, ground).status)) is Status.invalid_input
 
 
+@pytest.mark.costly
 def test_a_bias_raises_the_ground(rays, fixes) -> None:
     raised = GROUND.with_field(ConstantField(7.0)).with_field(ConstantField(-4.0))
     place = jax.tree.map(lambda x: x[0], fixes.position)

@@ -66,6 +66,7 @@ def test_a_millimetre_is_told_from_the_ground(name: str) -> None:
     np.testing.assert_allclose(found.slant_range, 1e-3, rtol=0, atol=1e-8)
 
 
+@pytest.mark.costly
 def test_from_a_valley_the_opposite_slope_is_met() -> None:
     """Level along a valley's side, from the ground on: the hill beyond hides nothing of the way to it."""
     col = np.abs(np.arange(SIZE) - SIZE // 2)

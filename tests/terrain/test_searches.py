@@ -96,6 +96,7 @@ def test_fast_iteration_contracts_by_half_of_one_less_k(k: float) -> None:
     np.testing.assert_allclose(height[1:3] / height[:2], (1.0 - k) / 2.0, rtol=0, atol=2e-4)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("k", [-0.9, -0.5, 0.5, 0.9, 1.0, 1.5])
 def test_photogrammetric_iteration_contracts_by_k(k: float) -> None:
     dem, ray = plane(k)
@@ -126,6 +127,7 @@ def test_the_secant_is_exact_on_a_plane(k: float) -> None:
         assert abs(run.height[0]) < 0.02  # m, what the Earth curves away under the line
 
 
+@pytest.mark.costly
 def test_the_printed_improved_step_is_exact_on_a_rising_plane() -> None:
     dem, ray = plane(0.5)
     run, _ = run_of(ImprovedLiteral(start=150.0), dem, ray)
@@ -206,6 +208,7 @@ def test_bisection_finds_the_hidden_slope() -> None:
     assert first_height(*ridge(), search=Bisection()) == pytest.approx(0.0, abs=0.01, rel=0)
 
 
+@pytest.mark.costly
 def test_a_near_peak_outside_the_target_area_hides_from_fast_iteration() -> None:
     dem, ray = plateau(-210.0, -60.0)
     assert run_of(FastIteration(window=AREA), dem, ray)[1] == [Outcome.farther_hit]
@@ -245,6 +248,7 @@ def test_the_secant_runs_away_where_ray_and_ground_are_parallel() -> None:
 # The interface.
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("search", EVERY_SEARCH.values(), ids=EVERY_SEARCH.keys())
 def test_statuses(search) -> None:
     """What keeps a ray from an answer is said, and is a failure."""

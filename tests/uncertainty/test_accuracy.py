@@ -34,6 +34,7 @@ def many() -> Accuracy:
     return accuracy(sensor, shot, PIXELS, terrain, errors, block=4)
 
 
+@pytest.mark.costly
 def test_every_field_of_one_fix_is_an_array(one: Accuracy) -> None:
     for name in ("probability", *RADII, "method", "cov_enu", "bias_enu", "failed"):
         assert isinstance(getattr(one, name), jax.Array), name
@@ -51,6 +52,7 @@ def test_every_field_of_one_fix_is_an_array(one: Accuracy) -> None:
         one[0]
 
 
+@pytest.mark.costly
 def test_the_interval_of_a_figure_grows_with_what_planes_leave_out(one: Accuracy, many: Accuracy) -> None:
     """On level ground it is narrowest; it does not depend on which of facet and footprint is off, nor on the sign."""
 
@@ -73,6 +75,7 @@ def test_the_interval_of_a_figure_grows_with_what_planes_leave_out(one: Accuracy
     np.testing.assert_allclose(many.circular_interval[1][0, 0], one.circular_interval[1], rtol=1e-6)
 
 
+@pytest.mark.costly
 def test_the_interval_of_samples_is_theirs(one: Accuracy) -> None:
     drawn = sample(*SCENE, count=2000)
     found = dataclasses.replace(one, method=jnp.asarray(Method.samples.value), sampled=drawn)

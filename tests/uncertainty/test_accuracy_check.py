@@ -47,6 +47,7 @@ def test_the_share_within_a_quantile_is_its_probability(checked: AccuracyCheck) 
             assert share.low < probability < share.high
 
 
+@pytest.mark.costly
 def test_samples_hold_what_the_accuracy_says(checked: AccuracyCheck) -> None:
     """Over level ground the error is nearly normal: the share is binomial."""
     within = checked.within
@@ -99,6 +100,7 @@ def test_the_budget_of_an_accuracy_ends_at_its_number(checked: AccuracyCheck) ->
     assert f"CE90 {float(stated.circular):.3f} m" in str(scaled)
 
 
+@pytest.mark.costly
 def test_a_budget_where_linear_propagation_is_not_valid_gives_shares_only(checked: AccuracyCheck) -> None:
     sampled = dataclasses.replace(checked.accuracy, method=jnp.asarray(Method.samples.value))
     found = budget(sampled)

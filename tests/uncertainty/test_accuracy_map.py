@@ -72,6 +72,7 @@ def test_a_place_has_the_figures_of_its_pixel_alone(level) -> None:
         np.testing.assert_allclose(off, 0.0, atol=1e-6)  # m
 
 
+@pytest.mark.costly
 def test_what_lies_beside_the_image_has_no_figures(level) -> None:
     status, method = np.asarray(level.status), np.asarray(level.method)
     beside = np.any((np.asarray(level.uv) < -0.5) | (np.asarray(level.uv) > np.array([2399.5, 3199.5])), axis=-1)

@@ -52,6 +52,7 @@ def test_simulated_points_by_the_exact_model(points) -> None:
     assert len(points) == 36
 
 
+@pytest.mark.costly
 def test_roots_of_the_parts(found) -> None:
     for part, ranks in zip(found.parts(), (3 * 18, 3 * 18, 3 * 3), strict=True):  # 18 images of 3 flights
         root = part.root()
@@ -153,6 +154,7 @@ def test_a_boresight_of_one_flight_is_not_separable(found) -> None:
     assert one.components[0].held is None
 
 
+@pytest.mark.costly
 def test_sources_that_do_the_same_are_not_separable(points) -> None:
     """Two attitudes, one of each image and one by time that fades between images: the information tells nothing."""
     twice = sources.Attitude.from_degrees(heading=0.015, pitch=0.005, roll=0.005)

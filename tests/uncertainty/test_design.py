@@ -73,6 +73,7 @@ def test_errors_along_a_line_have_a_closed_form(along_a_line):
     assert result.multiplier == pytest.approx(result.cost / target, rel=1e-5)  # the cost goes as 1 / target
 
 
+@pytest.mark.costly
 def test_the_multiplier_is_the_cost_of_a_metre(look, today):
     costs = [design(look, target=0.4 * today + step).cost for step in (-0.01, 0.01)]
     multiplier = design(look, target=0.4 * today).multiplier

@@ -495,6 +495,7 @@ def test_samples_have_the_distribution() -> None:
     np.testing.assert_allclose(pure.errors_enu, found.errors_enu[:5], atol=1e-7)
 
 
+@pytest.mark.costly
 def test_errors_without_a_variance_can_be_sampled_only() -> None:
     scene = _scene(UP(2.0, distribution=StudentT(1)))
     errors = drawn(checked_model(scene[4], _level_inputs(), moments=0), 2**14)

@@ -140,6 +140,7 @@ def test_calibration_of_a_mass() -> None:
 
 
 # 9.4: comparison loss of a microwave power meter, dY = X1^2 + X2^2, tables 7 to 9; in 1e-6.
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "x1, u, low, high", list(zip(SQUARES, (50, 112, 502), (0, 0, 1590), (150, 367, 3543), strict=True))
 )

@@ -109,6 +109,7 @@ def test_a_common_boresight_keeps_looks_from_helping_each_other() -> None:
     assert some == pytest.approx(apart + math.exp(-1.0) * (common - apart), rel=0.05)
 
 
+@pytest.mark.costly
 def test_a_common_boresight_shows_in_orthogonal_looks() -> None:
     """What moves one fix north and the other east shows in their difference: the two fuse better than independent ones,
     to 6 / sqrt(2) m, since north and east then err alike."""

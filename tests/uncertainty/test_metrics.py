@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import ncx2
 
 from jaxgeo.uncertainty import metrics as m
+from jaxgeo.uncertainty.metrics._host import host_radii, host_slopes
 
 PROBABILITIES = np.array([0.5, 0.9, 0.95])
 RATIOS = [0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
@@ -375,3 +376,33 @@ def test_radii_are_the_same_bits_whatever_was_computed_before() -> None:
     each = [(root @ root.T, mean) for root, mean in zip(roots, random.normal(size=(100, 3)), strict=True)]
     first = [float(m.spherical_error(cov, 0.5, mean)) for cov, mean in each]
     assert [float(m.spherical_error(cov, 0.5, mean)) for cov, mean in each] == first
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.5, 0.05])
+@pytest.mark.parametrize("bias", [(0.0, 0.0), (1.0, -2.0), (5.0, 0.0)])
+def test_slopes_in_numpy_are_differences_of_the_radius(ratio: float, bias: tuple[float, float]) -> None:
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    cov, mean = turn @ np.diag([9.0, 9.0 * ratio**2]) @ turn.T, np.array(bias)
+
+    def radius(cov: np.ndarray) -> float:
+        found = host_radii(cov, 0.9, mean)
+        assert found is not None
+        return float(found)
+
+    slopes = host_slopes(cov, radius(cov), mean)
+    assert slopes is not None
+    np.testing.assert_array_equal(slopes, slopes.T)
+    step = 1e-4 * cov[1, 1]
+    for change in ([[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 0.5], [0.5, 0.0]]):
+        by = step * np.array(change)
+        difference = (radius(cov + by) - radius(cov - by)) / (2.0 * step)
+        assert np.sum(slopes * change) == pytest.approx(difference, rel=1e-5, abs=1e-8)
+    # All variances grow by a factor: so does the square of the radius, if there is no bias.
+    if not mean.any():
+        assert np.sum(slopes * cov) == pytest.approx(0.5 * radius(cov), rel=1e-12)
+
+
+def test_slopes_of_needles_are_left_to_the_program() -> None:
+    for thin in (0.0, 1e-9):
+        assert host_slopes(np.diag([1.0, thin]), 1.64, np.zeros(2)) is None
+    assert host_slopes(np.eye(2), np.inf, np.zeros(2)) is None

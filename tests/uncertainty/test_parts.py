@@ -122,6 +122,7 @@ def test_the_order_and_grouping_of_merges_change_nothing(whole) -> None:
     assert a.merge() is a
 
 
+@pytest.mark.costly
 def test_parts_may_leave_gaps_and_come_from_other_processes(whole) -> None:
     first, last = (pickle.loads(pickle.dumps(part(*ends))) for ends in ((100, 300), (1000, 1200)))
     both = last.merge(first)
@@ -273,6 +274,7 @@ def test_merged_summaries_are_the_summary_of_all_to_the_bit(whole) -> None:
     assert len(pickle.dumps(together)) < 40 * COUNT
 
 
+@pytest.mark.costly
 def test_a_summary_stops_when_it_is_sure_enough() -> None:
     sure = part(0, 200_000, half_width=0.03, keep=False, summary=True, chunk=1)
     quantile = sure.circular_error(0.9)

@@ -166,6 +166,7 @@ def test_rows_do_not_hang_on_the_size_of_chunks():
     assert not np.any(misses[2, :, 0] == misses[0, :, 0])
 
 
+@pytest.mark.costly
 def test_table_and_dict_name_every_group():
     indices = indices_at(60.0, 1.0)
     assert all(group in str(indices) for group in indices.groups)

@@ -54,12 +54,14 @@ def normal(found: CheckErrors, count: int, seed: int) -> np.ndarray:
     return (np.random.default_rng(seed).standard_normal((count, len(root))) @ root.T).reshape(count, -1, 3)
 
 
+@pytest.mark.costly
 def test_simulated_points_by_the_exact_model(points) -> None:
     """The simulation, and the first compilation."""
     assert len(points) == 12
     assert len(set(points.images)) == 6
 
 
+@pytest.mark.costly
 def test_joint_covariance_is_that_of_joint_covariance(points, found) -> None:
     """The oracle is `joint_covariance`, of one observation at a time."""
     observation = points.observation
@@ -82,6 +84,7 @@ def _with_pixel() -> jaxgeo.ErrorModel:
     return jaxgeo.ErrorModel((*true_errors().sources, pixel))
 
 
+@pytest.mark.costly
 def test_a_stated_pixel_error_and_a_source_of_it_are_the_same(points, found) -> None:
     other = errors_at(dataclasses.replace(points, sigma_px=None), LEVEL, _with_pixel(), jaxgeo.FirstHit())
     np.testing.assert_allclose(other.covariance(), found.covariance(), atol=1e-12)  # m2
@@ -99,6 +102,7 @@ def test_pixels_of_one_point_share_its_survey(points, found) -> None:
     np.testing.assert_allclose(apart, wanted, atol=1e-12)  # m2
 
 
+@pytest.mark.costly
 def test_a_true_model_has_uniform_p_values(found) -> None:
     """400 sets of errors of the stated covariance, seed 7."""
     errors = normal(found, SETS, 7)
@@ -116,6 +120,7 @@ def _own(errors: np.ndarray, joint: np.ndarray) -> np.ndarray:
     return np.einsum("sia,iab,sib->s", errors, np.linalg.inv(blocks), errors)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("factor, words", [(2.0, "optimistic"), (0.5, "pessimistic")])
 def test_sigmas_wrong_by_two_are_found_out(found, factor: float, words: str) -> None:
     """Power: of 20 sets of errors twice or half as large as stated, seed 3, all are refused."""

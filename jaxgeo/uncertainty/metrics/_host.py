@@ -18,6 +18,7 @@ from jaxgeo.uncertainty.metrics._ball import FAR, FARTHEST, MID_NODES, OUTER_NOD
 from jaxgeo.uncertainty.metrics._radius import CLOSE, HIGHEST, MOST_STEPS, ROUNDING
 
 MOST = 64  # radii; more are computed by a program
+AROUND, STEP_MOST = 4096, 6.0  # points of a circle, and of them at least in the least standard deviation
 
 
 def host_radii(cov: Any, probability: Any, mean: Any) -> np.ndarray | None:
@@ -41,6 +42,29 @@ def host_radii(cov: Any, probability: Any, mean: Any) -> np.ndarray | None:
     )
     radii = [_radius(*item) for item in items]
     return None if None in radii else np.array(radii, np.float64).reshape(batch)
+
+
+def host_slopes(cov: Any, radius: Any, mean: Any) -> np.ndarray | None:
+    """Derivative (2, 2) of a circular error `radius` of N(mean, cov) by its covariance.
+
+    The derivative of a normal density by its covariance is half of its second derivatives by place (the heat equation),
+    so that, by Gauss's theorem, that of the probability within a circle is an integral around it. None if the arguments
+    are traced, and where the density varies too quickly along the circle for `AROUND` points.
+    """
+    if not is_direct((cov, radius, mean)):
+        return None
+    cov, mean, radius = np.asarray(cov, np.float64), np.asarray(mean, np.float64), float(radius)
+    variances = np.linalg.eigvalsh(cov)
+    if not (math.isfinite(radius) and variances[0] > (STEP_MOST * radius * 2.0 * math.pi / AROUND) ** 2):
+        return None
+    turn = np.arange(AROUND) * (2.0 * math.pi / AROUND)
+    out = np.stack([np.cos(turn), np.sin(turn)])
+    place = radius * out - mean[:, None]
+    pull = np.linalg.solve(cov, place)
+    square = np.sum(place * pull, axis=0)
+    density = np.exp(-0.5 * (square - square.min()))
+    slopes = 0.5 * (out * density) @ pull.T / density.sum()
+    return 0.5 * (slopes + slopes.T)
 
 
 def _radius(cov: np.ndarray, probability: float, mean: np.ndarray) -> float | None:
