@@ -13,6 +13,7 @@ from jaxgeo.uncertainty._deprecated import assess as assess
 from jaxgeo.uncertainty._design import Design, InverseCost, Outcome, certified_design, design
 from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
+from jaxgeo.uncertainty._height_errors import HeightErrors, height_errors
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty._validate import validate
 from jaxgeo.uncertainty.accuracy_check import AccuracyCheck, check_accuracy
@@ -52,6 +53,7 @@ __all__ = [
     "ErrorSamples",
     "Facet",
     "Footprint",
+    "HeightErrors",
     "InverseCost",
     "JointFixes",
     "Level",
@@ -90,6 +92,7 @@ __all__ = [
     "error_ellipse",
     "error_samples",
     "gauss_helmert",
+    "height_errors",
     "joint_covariance",
     "linear_error",
     "metrics",

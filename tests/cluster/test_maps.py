@@ -27,6 +27,8 @@ from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.vrt_writer import Bands, MosaicFile, write_vrt
 from jaxgeo.terrain import ConstantHeight, Dem
 
+pytestmark = pytest.mark.costly
+
 pystac: Any = pytest.importorskip("pystac")
 
 WIDTH, HEIGHT = 64, 48
@@ -100,7 +102,6 @@ def rasters_of(folder: pathlib.Path) -> dict[str, bytes]:
     return found
 
 
-@pytest.mark.costly
 def test_a_frame_without_an_orthophoto_tells_why(made: Made) -> None:
     assert made.run.computed == 4
     assert made.run.counts == {"hit": 2, "file_not_read": 1, "ray_misses_terrain": 1}
@@ -111,7 +112,6 @@ def test_a_frame_without_an_orthophoto_tells_why(made: Made) -> None:
     assert sorted(path.name for path in made.folder.glob("frame-*[0-9].tif")) == ["frame-00000.tif", "frame-00001.tif"]
 
 
-@pytest.mark.costly
 def test_cells_of_frames_are_those_of_the_first(made: Made) -> None:
     told = json.loads((made.folder / "_manifest.json").read_text(encoding="utf-8"))["identity"]
     assert told["crs"] == CRS
@@ -138,7 +138,6 @@ def painted(folder: pathlib.Path, names: list[str], whole: Any) -> tuple[np.ndar
     return values, known
 
 
-@pytest.mark.costly
 def test_the_mosaic_shows_all_frames(made: Made) -> None:
     with rasterio.open(made.folder / "mosaic.vrt") as whole:
         values, known = painted(made.folder, ["frame-00000.tif", "frame-00001.tif"], whole)
@@ -171,7 +170,6 @@ def test_the_catalogue_is_one_of_stac(made: Made) -> None:
         assert not items[row].get_assets()
 
 
-@pytest.mark.costly
 def test_only_missing_frames_are_computed(made: Made, tmp_path: pathlib.Path) -> None:
     """A frame whose file is gone, and one whose image has appeared; the others stay as they are."""
     folder = tmp_path / "copy"

@@ -17,6 +17,8 @@ from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.uncertainty import AccuracyMap, Method, accuracy, sample
 from tests.support import looks
 
+pytestmark = pytest.mark.costly
+
 xarray = pytest.importorskip("xarray")
 
 SENSOR, SHOT, UV, GROUND, MODEL = (
@@ -54,7 +56,6 @@ def test_a_dataset_holds_what_the_map_holds(found: AccuracyMap) -> None:
     assert told.attrs["probability"] == 0.8
 
 
-@pytest.mark.costly
 def test_codes_say_what_they_mean(found: AccuracyMap) -> None:
     told = accuracy_map_dataset(found)
     for name, expected in (("status", {int(s): s.name for s in Status}), ("trust", {int(t): t.name for t in Method})):
@@ -65,7 +66,6 @@ def test_codes_say_what_they_mean(found: AccuracyMap) -> None:
         assert expected.items() <= meanings.items()
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("raster, names", [(UTM, ("y", "x")), (DEGREES, ("lat", "lon"))])
 def test_on_a_map_it_names_its_crs_by_cf(tmp_path: pathlib.Path, found: AccuracyMap, raster, names) -> None:
     """Through a NetCDF and back."""
@@ -87,7 +87,6 @@ def test_on_a_map_it_names_its_crs_by_cf(tmp_path: pathlib.Path, found: Accuracy
         assert told["status"].attrs["flag_meanings"].split()[0] == "hit"
 
 
-@pytest.mark.costly
 def test_rasters_that_do_not_fit_are_refused(found: AccuracyMap) -> None:
     with pytest.raises(ValueError, match=r"the raster has \(3, 2\) cells"):
         accuracy_map_dataset(found, UTM._replace(shape=(3, 2)))

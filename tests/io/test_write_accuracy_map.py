@@ -14,6 +14,8 @@ from jaxgeo.uncertainty import NO_FIX, Method, sources
 from tests.support import looks
 from tests.support.scenes import rough, small_dem
 
+pytestmark = pytest.mark.costly
+
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3000.0, width=601, height=601)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
 POSE = Pose.from_degrees(lat=47.0, lon=10.98024, height=900.0)
@@ -31,7 +33,6 @@ def written(tmp_path_factory):
         return found, data.read(), data.profile, data.descriptions, data.units, data.tags()
 
 
-@pytest.mark.costly
 def test_cells_lie_where_the_map_says(written) -> None:
     found, bands, profile, *_ = written
     assert profile["crs"].to_epsg() == 32632
@@ -44,7 +45,6 @@ def test_cells_lie_where_the_map_says(written) -> None:
     np.testing.assert_allclose(np.rad2deg(found.position.lat), lat, atol=1e-10)
 
 
-@pytest.mark.costly
 def test_bands_are_the_map(written) -> None:
     found, bands, profile, descriptions, units, _ = written
     assert descriptions == ("CE50, m", "LE50, m", "verdict", "status")
@@ -72,7 +72,6 @@ def test_the_image_fills_the_map_that_was_made_for_it(tmp_path) -> None:
     assert found.shape == seen.shape
 
 
-@pytest.mark.costly
 def test_a_cloud_optimised_map_holds_the_same(tmp_path, written) -> None:
     """Tiled, laid out as a COG and said to be one, with the same numbers, place, names and tags."""
     place = {"crs": "EPSG:32632", "bounds": (645_000.0, 5_204_000.0, 646_100.0, 5_204_470.0), "resolution": 100.0}
