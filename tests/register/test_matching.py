@@ -272,7 +272,6 @@ def test_mistakes_are_named(change: dict, words: str) -> None:
         match_blocks(**(given | change))
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("place", [(0.3, -0.2), (-0.45, 0.1), (0.0, 0.0)])
 def test_the_offset_of_a_peak_is_the_top_of_its_paraboloid(place: tuple[float, float]) -> None:
     """In cells, towards rows and columns that grow; one that would be further than half a cell away stays within."""
