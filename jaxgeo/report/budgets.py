@@ -42,6 +42,7 @@ def budget_of(budget: Budget) -> dict[str, Any]:
         "radius": words.length(budget.circular_error),
         "horizontal": words.length(math.sqrt(budget.total.horizontal)),
         "vertical": words.length(math.sqrt(budget.total.vertical)),
+        "note": budget.note or "",
     }
 
 
@@ -61,7 +62,7 @@ def _row(one: _Line, budget: Budget, name: str) -> dict[str, Any]:
     ]
     if known:
         tip.append((f"{name} without it", f"{words.length(one.without)}, {words.share(saved)} less"))
-    if one.slope:
+    if known and one.slope:
         tip.append((f"{name} sensitivity", one.slope))
     return {
         "name": one.name,
