@@ -84,11 +84,11 @@ def make_demo() -> Demo:
     uv = np.concatenate([grid, edges, _middle(camera)[None], view])
     n, m = len(grid), len(grid) + len(edges)
     with ThreadPoolExecutor() as pool:  # XLA compiles the parts in parallel
-        posts = pool.submit(_posts_in_image, sensor, shot, dem)
-        section = pool.submit(_section_under_axis, sensor, shot, dem)
         doubted = (sensor, shot, grid[DOUBTED], dem, scene.errors)
         drawn = pool.submit(sample, *doubted, sampling=Sampling(count=SAMPLES, chunk=SAMPLES), keep=True)
         answered = pool.submit(_answered, *doubted)
+        posts = pool.submit(_posts_in_image, sensor, shot, dem)
+        section = pool.submit(_section_under_axis, sensor, shot, dem)
         fix = located(sensor, shot, uv, dem)
         hidden = _hidden(sensor, shot, dem, *posts.result())
         found, shares = answered.result()
