@@ -27,10 +27,11 @@ class At(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Logarithms `x` of the scales at a minimum, its misfit and the expected information there."""
+    """Logarithms `x` of the scales at a minimum, its misfit, its gradient and the expected information there."""
 
     x: np.ndarray
     misfit: float
+    gradient: np.ndarray
     information: np.ndarray
 
 
@@ -104,7 +105,25 @@ class Likelihood:
             )
             x[free] = np.clip(found.x, ZERO, LARGEST)
         last = self.at(x)
-        return Minimum(x, last.misfit, last.information)
+        return Minimum(x, last.misfit, last.gradient, last.information)
+
+    def settled(self, start: np.ndarray, free: np.ndarray, zero: np.ndarray) -> Minimum:
+        """`minimum`, with those of the scales `zero` above zero that fit better there: the others are not all estimated
+        where they were zero beside other values."""
+        free, zero = free.copy(), zero.copy()
+        found = self.minimum(start, free)
+        while np.any(rising := zero & (found.gradient < 0.0)):
+            # A step by the expected information over the squares of the scales.
+            squared = -2.0 * found.gradient * np.exp(2.0 * found.x) / np.maximum(np.diag(found.information), 1e-300)
+            number = int(np.argmax(np.where(rising, squared, 0.0)))
+            tried, zero[number], free[number] = found.x.copy(), False, True
+            tried[number] = np.clip(0.5 * math.log(max(squared[number], 1e-300)), SMALLEST, LARGEST)
+            more = self.minimum(tried, free)
+            if more.misfit < found.misfit:
+                found = more
+            else:
+                free[number] = False
+        return found
 
     def best(self, start: float) -> Minimum:
         """The least misfit over all scales, from one for all; those near zero become zero if that fits no worse."""
@@ -116,20 +135,22 @@ class Likelihood:
                 tried = found.x.copy()
                 tried[number], free[number] = ZERO, False
                 found = self.minimum(tried, free)
-        return found
+        return self.settled(found.x, free, ~free)
 
     def limits(self, best: Minimum, number: int, goal: float) -> tuple[float, float]:
         """Limits of a scale, at which twice the misfit over the other scales is `goal` squared above the least."""
         is_zero = best.x[number] <= ZERO
         free = best.x > ZERO
         free[number] = False
+        zero = best.x <= ZERO
+        zero[number] = False
         others = best.x.copy()
 
         def root(value: float) -> float:
             start = others.copy()
             start[number] = value
-            found = self.minimum(start, free)
-            others[:] = found.x
+            found = self.settled(start, free, zero)
+            others[:] = np.where(zero, ZERO, found.x)
             return math.sqrt(max(2.0 * (found.misfit - best.misfit), 0.0))
 
         wide = 0.5 if is_zero else 1.0 / math.sqrt(max(float(best.information[number, number]), 0.1))
