@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -194,6 +195,32 @@ def test_a_source_that_is_not_there_is_zero(found) -> None:
     assert position.least == 0.0
     assert 0.0 < position.most < 1.5
     assert "at zero" in position.words
+
+
+def test_errors_far_beyond_all_factors_are_refused(found) -> None:
+    with pytest.raises(ValueError, match="more than 8103 times as large as stated for attitude"):
+        calibrated(with_errors(found, 1e5 * np.asarray(found.seen.error_enu)))
+
+
+@pytest.mark.parametrize(
+    "hold, kind, words",
+    [
+        (sources.Attitude, TypeError, "hold must be classes of error sources"),
+        (True, TypeError, "got True"),
+        ("Attitude", TypeError, "got 'Attitude'"),
+        (("Attitude",), TypeError, "got 'Attitude'"),
+        ((true_errors().sources[0],), TypeError, "hold must be classes"),
+        ((sources.Geoid,), ValueError, "the error model has no Geoid"),
+    ],
+)
+def test_what_cannot_be_held_is_refused(points, found, hold, kind: type[Exception], words: str) -> None:
+    calibrate = functools.partial(calibrated, found) if kind is ValueError else _calibrate_points(points)
+    with pytest.raises(kind, match=words):
+        calibrate(hold=hold)
+
+
+def _calibrate_points(points):
+    return functools.partial(calibrate_errors, points, LEVEL, HALF)
 
 
 def test_points_without_a_fix_are_named(found) -> None:
