@@ -16,6 +16,7 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy import SAMPLES, accuracy
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.intervals import Share
 from jaxgeo.uncertainty.model import ErrorModel
@@ -73,7 +74,7 @@ class AccuracyCheck(Record):
         said = f"{share:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %)."
         if self.jumped > 0.0 or self.sampled.failed > 0.0:
             jumped, failed = 100.0 * self.jumped, 100.0 * self.sampled.failed
-            said += f" {jumped:.2g} % of them hit a nearer or farther slope, {failed:.2g} % have no fix."
+            said += f" {figure(jumped, 2)} % of them hit a nearer or farther slope, {figure(failed, 2)} % have no fix."
         return said
 
     def __str__(self) -> str:
