@@ -123,8 +123,8 @@ def compare(
     `sampling` says, and kept. Other arguments and exceptions as for `sample`; `digits` is the number of significant
     digits to compare, 1 to 6.
     """
-    if not 1 <= digits <= 6:
-        raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
+    if not isinstance(digits, int | np.integer) or isinstance(digits, bool) or not 1 <= digits <= 6:
+        raise ValueError(f"digits must be a whole number from 1 to 6; got {digits!r}.")
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
     is_open = isinstance(sampling, Sampling) and sampling.count is None and sampling.half_width is None

@@ -81,6 +81,18 @@ def test_large_figures_and_whole_shares_are_in_full() -> None:
     assert explain_method(nowhere, Method.samples).startswith("100 % of the perturbed lines of sight meet no known")
 
 
+def test_samples_that_the_accuracy_is_of_are_said_to_be_those(checked: AccuracyCheck) -> None:
+    assert "these samples" not in checked.words
+    own = AccuracyCheck(dataclasses.replace(checked.accuracy, sampled=checked.sampled), checked.sampled)
+    assert own.words.endswith("%), which is of these samples.")
+
+
+def test_digits_that_are_no_whole_number_are_refused() -> None:
+    for digits in (0, 7, True):
+        with pytest.raises(ValueError, match="whole number from 1 to 6"):
+            compare(*LOOK, digits=digits)
+
+
 def test_a_share_that_cannot_be_told_is_refused(checked: AccuracyCheck) -> None:
     with pytest.raises(ValueError, match="CX was not asked for"):
         checked.sampled.share_within("CX", 1.0)
