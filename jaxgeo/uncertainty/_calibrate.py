@@ -70,7 +70,7 @@ def calibrate_errors(
 
 def _checked_hold(hold: Any) -> tuple[type[AbstractSource], ...]:
     """The classes to hold; raises `TypeError` for anything else."""
-    several = tuple(hold) if isinstance(hold, Collection) and not isinstance(hold, str) else (hold,)
+    several: tuple[Any, ...] = tuple(hold) if isinstance(hold, Collection) and not isinstance(hold, str) else (hold,)
     for one in several:
         if not (isinstance(hold, Collection) and isinstance(one, type) and issubclass(one, AbstractSource)):
             raise TypeError(f"hold must be classes of error sources, as hold=(sources.Attitude,); got {one!r}.")

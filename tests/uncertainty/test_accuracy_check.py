@@ -77,7 +77,7 @@ def test_samples_without_a_fix_are_within_no_radius() -> None:
 def test_large_figures_and_whole_shares_are_in_full() -> None:
     assert [shown(x, 2) for x in (100.0, 99.7, 12345.0, 0.00123, -3.0)] == ["100", "100", "12000", "0.0012", "-3"]
     assert [shown(x, 3, "+") for x in (1000.4, 0.0, np.nan, np.inf)] == ["+1000", "+0", "+nan", "+inf"]
-    nowhere = Diagnostics(*[1.0] * 6, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0)
+    nowhere = Diagnostics._make([1.0] * 6 + [0.0, 1.0, 0.0, 1.0, 1.0, 0.0])
     assert explain_method(nowhere, Method.samples).startswith("100 % of the perturbed lines of sight meet no known")
 
 
