@@ -97,8 +97,9 @@ def _shape(source: Any) -> dict[str, Any]:
         for name, kind in PLAIN.items():
             if type(shape) is kind:
                 return {"distribution": name}
-        if isinstance(shape, StudentT):
-            return {"distribution": "student-t", "df": float(np.asarray(shape.df))}
+        degrees = {float(df) for one in source.shapes if isinstance(one, StudentT) for df in np.ravel(one.df)}
+        if len(degrees) == 1:
+            return {"distribution": "student-t", "df": degrees.pop()}
     raise SceneError(f"[errors]: the distribution of {source.label} has no form in a scene file.")
 
 

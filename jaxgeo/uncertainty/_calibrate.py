@@ -15,7 +15,7 @@ from jaxgeo._blas_threads import one_thread
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty._reml import ZERO, Likelihood, Minimum
+from jaxgeo.uncertainty._reml import LARGEST, ZERO, Likelihood, Minimum
 from jaxgeo.uncertainty.calibration import Calibration, Component, FixedEffect
 from jaxgeo.uncertainty.check_errors import CheckErrors, Part, errors_at
 from jaxgeo.uncertainty.check_points import CheckPoints
@@ -28,6 +28,7 @@ SAME_WAY = 0.8  # correlation of what two sources do to the pixels, above which 
 WEAK = 0.1  # eigenvalue of the information, scaled to a diagonal of ones: the scales of parts there are not separable
 FREEDOM = 1.0  # degrees of freedom below which a scale is not determined
 SINGULAR = 1e-10  # of the largest eigenvalue
+ROUNDING = 1e-6  # of a logarithm
 
 
 def calibrate_errors(
@@ -37,7 +38,7 @@ def calibrate_errors(
     *,
     each_axis: bool = False,
     remove_mean: bool = True,
-    hold: Collection[type[AbstractSource]] = (),
+    hold: Collection[type[AbstractSource]] | Any = (),
     confidence: float = 0.95,
     search: AbstractSearch = FIRST_HIT,
 ) -> Calibration:
@@ -57,12 +58,23 @@ def calibrate_errors(
 
     Source: Patterson and Thompson 1971, "Recovery of inter-block information when block sizes are unequal"; Koch 1999,
     "Parameter Estimation and Hypothesis Testing in Linear Models", section 3.6. Raises as `validate`; `ValueError` if
-    no source is left to calibrate, if there are too few errors for the factors, or for a confidence outside (0, 1).
+    no source is left to calibrate, if there are too few errors for the factors, if a factor is above 8103, for a
+    confidence outside (0, 1), and for a class to `hold` that the model does not have; `TypeError` for what is none.
     """
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must be between 0 and 1; got {confidence!r}.")
+    hold = _checked_hold(hold)
     found = errors_at(points, terrain, errors, search)
-    return _calibrate(found, errors, each_axis, remove_mean, tuple(hold), confidence)
+    return _calibrate(found, errors, each_axis, remove_mean, hold, confidence)
+
+
+def _checked_hold(hold: Any) -> tuple[type[AbstractSource], ...]:
+    """The classes to hold; raises `TypeError` for anything else."""
+    several: tuple[Any, ...] = tuple(hold) if isinstance(hold, Collection) and not isinstance(hold, str) else (hold,)
+    for one in several:
+        if not (isinstance(hold, Collection) and isinstance(one, type) and issubclass(one, AbstractSource)):
+            raise TypeError(f"hold must be classes of error sources, as hold=(sources.Attitude,); got {one!r}.")
+    return several
 
 
 @one_thread()
@@ -75,6 +87,9 @@ def _calibrate(
     confidence: float,
 ) -> Calibration:
     """Calibration from errors at check points."""
+    for one in hold:
+        if not any(isinstance(source, one) for source in found.model.sources):
+            raise ValueError(f"hold: the error model has no {one.__name__}; leave it out.")
     parts = found.parts(each_axis)
     held = [_reason_to_hold(part, found.model, hold) for part in parts]
     single = [why is None and _is_one(part) for part, why in zip(parts, held, strict=True)]
@@ -93,6 +108,13 @@ def _calibrate(
     y = basis.T @ found.error  # standard normal for the stated sigmas
     likelihood = Likelihood.of(y, basis.T @ known @ basis, [basis.T @ parts[k].root() for k in free])
     best = likelihood.best(float(np.clip(0.5 * math.log(max(float(np.mean(y**2)), 1e-6)), -2.0, 4.0)))
+    beyond = [parts[k].label for x, k in zip(best.x, free, strict=True) if x >= LARGEST - ROUNDING]
+    if beyond:
+        raise ValueError(
+            f"the errors are more than {math.exp(LARGEST):.0f} times as large as stated for {' and '.join(beyond)}, "
+            "the most that is tried; look at them by validate: the units of the sigmas, the datum of the heights, or "
+            "points may be wrong."
+        )
     goal = math.sqrt(float(scipy.stats.chi2.ppf(confidence, 1)))
     intervals = [likelihood.limits(best, number, goal) for number in range(len(free))]
     joint = known + sum(float(np.exp(2.0 * x)) * parts[k].covariance for x, k in zip(best.x, free, strict=True))

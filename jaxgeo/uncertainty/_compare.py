@@ -18,6 +18,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty._second_order import second_moments
 from jaxgeo.uncertainty.linear import Propagation, propagate_linear
 from jaxgeo.uncertainty.method_selection import diagnose
@@ -77,12 +78,12 @@ class Comparison(Record):
         unsure = [row.method for row in self.rows if not row.is_valid and "not valid" not in row.validity]
         said = f"Agrees with Monte Carlo {digits}: {'; '.join(self.valid)}."
         if not self.valid:
-            said = f"No method agrees with Monte Carlo {digits}."
+            said = f"No method {'surely ' if unsure else ''}agrees with Monte Carlo {digits}."
         if unsure:
             said += f" Needs more samples: {'; '.join(unsure)}."
         if self.jumped > 0.0 or self.failed > 0.0:
             jumped, failed = 100.0 * self.jumped, 100.0 * self.failed
-            said += f" {jumped:.2g} % of the samples jump to another slope, {failed:.2g} % have no fix."
+            said += f" {figure(jumped, 2)} % of the samples jump to another slope, {figure(failed, 2)} % have no fix."
         return said
 
     def __str__(self) -> str:
@@ -122,8 +123,8 @@ def compare(
     `sampling` says, and kept. Other arguments and exceptions as for `sample`; `digits` is the number of significant
     digits to compare, 1 to 6.
     """
-    if not 1 <= digits <= 6:
-        raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
+    if not isinstance(digits, int | np.integer) or isinstance(digits, bool) or not 1 <= digits <= 6:
+        raise ValueError(f"digits must be a whole number from 1 to 6; got {digits!r}.")
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
     is_open = isinstance(sampling, Sampling) and sampling.count is None and sampling.half_width is None

@@ -16,6 +16,7 @@ from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy import SAMPLES, accuracy
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.intervals import Share
 from jaxgeo.uncertainty.model import ErrorModel
@@ -70,11 +71,18 @@ class AccuracyCheck(Record):
         """What the samples say of the circular error, in one or two sentences."""
         share, low, high = (100.0 * one for one in self.within)
         name, count = f"CE{100.0 * self.accuracy.level():g}", f"{self.sampled.count:,}".replace(",", " ")
-        said = f"{share:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %)."
+        own = ", which is of these samples" if self._is_of_these_samples else ""
+        said = f"{share:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %){own}."
         if self.jumped > 0.0 or self.sampled.failed > 0.0:
             jumped, failed = 100.0 * self.jumped, 100.0 * self.sampled.failed
-            said += f" {jumped:.2g} % of them hit a nearer or farther slope, {failed:.2g} % have no fix."
+            said += f" {figure(jumped, 2)} % of them hit a nearer or farther slope, {figure(failed, 2)} % have no fix."
         return said
+
+    @property
+    def _is_of_these_samples(self) -> bool:
+        """Whether the circular error is the quantile of the samples themselves, which say nothing else of it then."""
+        drawn, radii = self.accuracy.sampled, self.sampled.radii["CE"]
+        return drawn is not None and np.array_equal(drawn.radii.get("CE", ()), radii)
 
     def __str__(self) -> str:
         return f"{self.accuracy} {self.words}"

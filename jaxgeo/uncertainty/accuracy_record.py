@@ -16,6 +16,7 @@ from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import IndexField, Matrix3Field, ScalarField, Vector3Field
 from jaxgeo.fix import Fix
 from jaxgeo.status import Status, count_statuses
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.host_arrays import take
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.method_selection import (
@@ -142,9 +143,9 @@ class Accuracy(OldNames, Record):
             return f"No fix: {status.name}: {status.message}"
         percent = f"{100.0 * self.level():g}"
         radii = (("CE", self.circular), ("LE", self.linear), ("SE", self.spherical))
-        texts = [f"{name}{percent} {float(radius):.4g} m" for name, radius in radii]
+        texts = [f"{name}{percent} {figure(radius, 4)} m" for name, radius in radii]
         low, high = map(float, self.circular_interval)
-        texts[0] += f" ({low:.3g} to {high:.3g})" if np.isfinite(low + high) else ""
+        texts[0] += f" ({figure(low)} to {figure(high)})" if np.isfinite(low + high) else ""
         figures = ", ".join(texts)
         drawn = "" if self.count or self.words != Method.samples.words else ", which were not drawn"
         return f"{figures}, by {self.words}{drawn}. {self.because}"
@@ -165,7 +166,9 @@ def summary(accuracy: Any, noun: str, meaning: Callable[[Status], str] = lambda 
     if known.size:
         low, high = (float(np.quantile(known, share, method="higher")) for share in (0.5, 0.9))
         percent = f"{100.0 * accuracy.level():g}"
-        lines[0] += f" CE{percent} up to {low:.3g} m in half of those with figures, {high:.3g} m in nine tenths."
+        lines[0] += (
+            f" CE{percent} up to {figure(low)} m in half of those with figures, {figure(high)} m in nine tenths."
+        )
     for one in Method:
         drawn = f", {accuracy.count} each" if accuracy.count else ", not drawn"
         words = one.words + (drawn if one is Method.samples else "")

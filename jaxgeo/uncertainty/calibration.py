@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy  # submodules load lazily, when first used
 
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.model import ErrorModel
 
 
@@ -44,11 +45,10 @@ class Component:
         """The component in a line."""
         if self.held is not None:
             return f"{self.label}: as stated, {_sigmas(self.stated, self.unit)} ({self.held})"
-        limits = f"{self.least:.3g} to {_number(self.most)} times"
+        limits = f"{figure(self.least)} to {_number(self.most)} times"
         more = " (at zero: the errors do not call for it)" if self.scale == 0.0 else ""
-        return (
-            f"{self.label}: {self.scale:.3g} times the stated sigmas ({limits}): {_sigmas(self.sigma, self.unit)}{more}"
-        )
+        times = f"{figure(self.scale)} times the stated sigmas ({limits})"
+        return f"{self.label}: {times}: {_sigmas(self.sigma, self.unit)}{more}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +68,7 @@ class FixedEffect:
         """The effect in a few words."""
         if math.isnan(self.value):
             return f"{self.label} not determined beside the others"
-        return f"{self.label} {self.value:+.3g} ± {self.sigma:.2g} {self.unit}"
+        return f"{self.label} {figure(self.value, 3, '+')} ± {figure(self.sigma, 2)} {self.unit}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,9 +168,9 @@ def _apart(group: tuple[str, ...]) -> str:
 
 def _sigmas(sigma: np.ndarray, unit: str) -> str:
     if unit == "rad":
-        return f"{', '.join(f'{x:.3g}' for x in np.rad2deg(sigma))} deg"
-    return f"{', '.join(f'{x:.3g}' for x in sigma)} {unit}"
+        return f"{', '.join(map(figure, np.rad2deg(sigma)))} deg"
+    return f"{', '.join(map(figure, sigma))} {unit}"
 
 
 def _number(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "any"
+    return figure(value) if math.isfinite(value) else "any"

@@ -14,6 +14,7 @@ from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.linear import (
     FACET,
     OverSlope,
@@ -226,7 +227,7 @@ def _larger(ratio: float) -> str:
     if not math.isfinite(ratio):
         return "incomparably larger"
     if ratio > 3.0:
-        return f"{ratio:.3g} times larger"
+        return f"{figure(ratio)} times larger"
     percent = abs(100.0 * (ratio - 1.0))
     return f"{percent:.{1 if percent < 10.0 else 0}f} % {'larger' if ratio >= 1.0 else 'smaller'}"
 
@@ -235,16 +236,16 @@ def _obstacle(diagnostics: Diagnostics, fails: float, jumps: float) -> str | Non
     """Condition that rules out linear propagation even if the figures agree, or None; `fails` and `jumps` in %."""
     off, known, grazing = float(diagnostics.off), float(diagnostics.known), float(diagnostics.grazing)
     if not off <= SAME_GROUND:
-        where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere near the fix"
+        where = f"{figure(off)} m from the fix" if math.isfinite(off) else "nowhere near the fix"
         return f"The terrain surface sampled from above lies {where}, so the ground at the fix is unknown"
     if fails + jumps > 100.0 * FEW and fails >= jumps:
-        return f"{fails:.2g} % of the perturbed lines of sight meet no known ground"
+        return f"{figure(fails, 2)} % of the perturbed lines of sight meet no known ground"
     if fails + jumps > 100.0 * FEW:
         clearance = float(diagnostics.clearance)
-        other = f"hit a nearer or farther slope (first at {clearance:.2g} sigma)"
-        return f"{jumps:.2g} % of the perturbed lines of sight {other}"
+        other = f"hit a nearer or farther slope (first at {figure(clearance, 2)} sigma)"
+        return f"{figure(jumps, 2)} % of the perturbed lines of sight {other}"
     if known != 1.0:
-        return f"{100.0 * (1.0 - known):.2g} % of the ground in the footprint is unknown"
+        return f"{figure(100.0 * (1.0 - known), 2)} % of the ground in the footprint is unknown"
     if not grazing > GRAZING:
         return f"The line of sight grazes the surface, at {1e3 * grazing:.2g} mrad"
     return None

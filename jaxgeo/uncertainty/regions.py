@@ -215,7 +215,12 @@ def probability_within(sampled: Sampled, polygon: Any) -> Share:
 
 def checked_probability(probability: Any) -> float:
     """A probability as a float. Raises `ValueError` unless it lies between 0 and 1."""
-    if isinstance(probability, bool | str) or not 0.0 < probability < 1.0:
+    if (
+        isinstance(probability, bool | str)
+        or np.ndim(probability)
+        or probability is None
+        or not 0.0 < probability < 1.0
+    ):
         raise ValueError(f"probability must lie between 0 and 1, such as 0.9; got {probability!r}.")
     return float(probability)
 

@@ -100,16 +100,16 @@ class Sampled(Record):
     def share_within(self, figure: str, radius: float) -> Share:
         """Share of the samples, of all drawn, within a `radius` in m of one of the figures "CE", "LE" and "SE".
 
-        With its confidence interval: of independent draws Clopper and Pearson's, of Sobol points Student's over the
-        scrambles. Raises `ValueError` for a figure that was not asked for, a radius that is not positive, and samples
-        whose radii were not kept (`summary`).
+        Samples without a fix are within none, not even an infinite one. With its confidence interval: of independent
+        draws Clopper and Pearson's, of Sobol points Student's over the scrambles. Raises `ValueError` for a figure that
+        was not asked for, a radius that is not positive, and samples whose radii were not kept (`summary`).
         """
         self._check_figure(figure)
         if not radius > 0.0:
             raise ValueError(f"radius must be a positive length in m; got {radius!r}.")
         if self.histograms is not None:
             raise ValueError("the radii of these samples were not kept: sample again without summary.")
-        numbers = np.flatnonzero(self.radii[figure] <= radius)
+        numbers = np.flatnonzero((self.radii[figure] <= radius) & np.isfinite(self.radii[figure]))
         return share_of(numbers, self.count, self.confidence, self.scrambles)
 
     @property

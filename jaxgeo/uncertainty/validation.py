@@ -9,10 +9,12 @@ import numpy as np
 import scipy  # submodules load lazily, when first used
 
 from jaxgeo.status import Status, count_statuses
+from jaxgeo.uncertainty._figures import figure
 
 LEVELS = (0.5, 0.9, 0.95)
 SIGNIFICANCE, CONFIDENCE = 0.05, 0.95
 SHOWN = 5  # names in a sentence
+ALL_THE_SAME = 1e-9  # relative: a range, an angle or a slope that does not vary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Size:
         if self.p < SIGNIFICANCE:
             verdict = "larger than the model says" if self.factor > 1.0 else "smaller than the model says"
         return (
-            f"{verdict}: {self.factor:.3g} times ({self.least:.3g} to {self.most:.3g}), NEES {self.nees:.4g} of "
-            f"{self.low:.4g} to {self.high:.4g} expected, {_p(self.p)}"
+            f"{verdict}: {figure(self.factor)} times ({figure(self.least)} to {figure(self.most)}), "
+            f"NEES {figure(self.nees, 4)} of {figure(self.low, 4)} to {figure(self.high, 4)} expected, {_p(self.p)}"
         )
 
 
@@ -67,7 +69,8 @@ class Uniformity:
 class Bias:
     """Mean error along an axis in m, its `sigma` under the model with shared errors, and the tests of zero.
 
-    `z` and `p` are of the model; `t` and `p_t` of the scatter of the errors as if points shared none.
+    `z` and `p` are of the model; `t` and `p_t` of the scatter of the errors as if points shared none, NaN if they do
+    not scatter.
     """
 
     axis: str
@@ -81,7 +84,7 @@ class Bias:
 
 @dataclasses.dataclass(frozen=True)
 class Dependence:
-    """Spearman's rank correlation of the size of the normalised errors with a quantity; NaN if that does not vary."""
+    """Spearman's rank correlation of the size of the normalised errors with a quantity; NaN if one does not vary."""
 
     name: str
     unit: str
@@ -201,7 +204,7 @@ class Validation:
             "effective_points": self.effective,
             **tests,
             "uniformity": uniform,
-            "bias": [dataclasses.asdict(one) for one in self.bias],
+            "bias": [dataclasses.asdict(one) | {"t": _known(one.t), "p_t": _known(one.p_t)} for one in self.bias],
             "dependence": depends,
             "coverage": [dataclasses.asdict(one) | {"share": one.share} for one in self.coverage],
             "points": self._rows(),
@@ -236,7 +239,7 @@ class Validation:
             return f"The errors do not agree with the model ({', '.join(self.rejected)}). {fixes}."
         factor = wrong[1].factor
         way = "optimistic" if factor > 1.0 else "pessimistic"
-        return f"The model is too {way}: errors{wrong[0]} are {factor:.2g} times as large as it says. {fixes}."
+        return f"The model is too {way}: errors{wrong[0]} are {figure(factor, 2)} times as large as it says. {fixes}."
 
     @property
     def _is_shared_otherwise(self) -> bool:
@@ -255,9 +258,8 @@ class Validation:
         lines += [f"  {name}: {one.words}" for name, one in (("across", self.horizontal), ("up", self.vertical))]
         count = len(self.index)
         if self.effective < count:
-            lines.append(
-                f"Shared errors: for coverage the {count} pixels amount to {self.effective:.2g} independent ones."
-            )
+            amount = figure(self.effective, 2)
+            lines.append(f"Shared errors: for coverage the {count} pixels amount to {amount} independent ones.")
         for one in self.coverage:
             lines.append(
                 f"  {one.name:5s} contains {one.inside} of {one.count}: {100.0 * one.share:.0f} % "
@@ -271,7 +273,7 @@ class Validation:
         return lines if self.note is None else [*lines, self.note]
 
     def _bias(self, one: Bias) -> str:
-        return f"{one.axis} {one.mean:+.3g} m, {abs(one.z):.2g} sigma ({_p(one.p)})"
+        return f"{one.axis} {figure(one.mean, 3, '+')} m, {figure(abs(one.z), 2)} sigma ({_p(one.p)})"
 
     def _of_points(self) -> list[str]:
         lines = []
@@ -289,9 +291,15 @@ class Validation:
         return lines
 
 
+def is_constant(values: np.ndarray) -> bool:
+    """Whether numbers differ by no more than rounding."""
+    return bool(np.ptp(values) <= ALL_THE_SAME * np.abs(values).max(initial=1.0))
+
+
 def _depends(one: Dependence) -> str:
     if not np.isfinite(one.p):
-        return f"is not tested against {one.name}, which is the same for all"
+        same = "which is the same for all" if is_constant(one.values) else "since it is the same for all"
+        return f"is not tested against {one.name}, {same}"
     does = "depends" if one.p < SIGNIFICANCE else "does not depend"
     return f"{does} on {one.name} (rank correlation {one.correlation:+.2f}, {_p(one.p)})"
 

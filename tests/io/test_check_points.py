@@ -30,6 +30,7 @@ from jaxgeo.io._schema import ErrorsTable
 from jaxgeo.io.scene import SceneError
 from jaxgeo.io.scene_errors import model_of_table
 from jaxgeo.uncertainty import PerMeasurement, sources
+from jaxgeo.uncertainty.datasheet import Stated
 from jaxgeo.uncertainty.distributions import StudentT, Uniform
 from tests.support.check_points import block
 from tests.support.command_files import FILES
@@ -163,12 +164,18 @@ def test_sigmas_of_each_image_are_written_as_their_root_mean_square() -> None:
     assert errors_table(jaxgeo.ErrorModel((each,))) == {"position_m": [5.0, 1.0, 1.0]}
 
 
+TWO_TAILS = sources.Position.from_ned(
+    north=Stated(1.0, StudentT(3.0)), east=Stated(1.0, StudentT(30.0)), down=Stated(1.0, StudentT(3.0))
+)
+
+
 @pytest.mark.parametrize(
     "source, words",
     [
         (sources.Velocity.from_ned(north=1.0, east=1.0, down=1.0), r"no key for velocity"),
         (sources.Position.from_covariance(np.eye(3) + 0.1), r"those of position are correlated"),
         (sources.TerrainHeight.from_metres(1.0, sharing=PerMeasurement()), r"that of terrain height is not the usual"),
+        (TWO_TAILS, r"the distribution of position has no form"),
         (sources.TerrainField.of_variograms(spherical=[(1.0, 10.0)]), r"one Gaussian variogram"),
     ],
 )

@@ -17,8 +17,11 @@ from jaxgeo import Sampling, demo
 from jaxgeo.io.dem import DATA
 from jaxgeo.io.scene import read_scene
 from jaxgeo.uncertainty import AccuracyCheck, Method, budget, check_accuracy, compare, propagate
+from jaxgeo.uncertainty._figures import figure as shown
 from jaxgeo.uncertainty.intervals import share_of
+from jaxgeo.uncertainty.method_selection import Diagnostics, explain_method
 from tests.support import looks
+from tests.support.clouds import cloud
 
 LOOK = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, looks.level_errors())
 COUNT = 4096
@@ -65,6 +68,30 @@ def test_a_share_of_sobol_points_is_the_mean_over_their_scrambles(checked: Accur
     each = np.mean((drawn.radii["CE"] <= radius).reshape(-1, 16), axis=0)
     interval = scipy.stats.t.interval(0.95, 15, loc=each.mean(), scale=scipy.stats.sem(each))
     np.testing.assert_allclose(share, (each.mean(), *interval), rtol=1e-12)
+
+
+def test_samples_without_a_fix_are_within_no_radius() -> None:
+    drawn = cloud(np.ones((60, 2)), lost=40)
+    assert drawn.share_within("CE", np.inf).value == 0.6
+
+
+def test_large_figures_and_whole_shares_are_in_full() -> None:
+    assert [shown(x, 2) for x in (100.0, 99.7, 12345.0, 0.00123, -3.0)] == ["100", "100", "12000", "0.0012", "-3"]
+    assert [shown(x, 3, "+") for x in (1000.4, 0.0, np.nan, np.inf)] == ["+1000", "+0", "+nan", "+inf"]
+    nowhere = Diagnostics._make([1.0] * 6 + [0.0, 1.0, 0.0, 1.0, 1.0, 0.0])
+    assert explain_method(nowhere, Method.samples).startswith("100 % of the perturbed lines of sight meet no known")
+
+
+def test_samples_that_the_accuracy_is_of_are_said_to_be_those(checked: AccuracyCheck) -> None:
+    assert "these samples" not in checked.words
+    own = AccuracyCheck(dataclasses.replace(checked.accuracy, sampled=checked.sampled), checked.sampled)
+    assert own.words.endswith("%), which is of these samples.")
+
+
+def test_digits_that_are_no_whole_number_are_refused() -> None:
+    for digits in (0, 7, True):
+        with pytest.raises(ValueError, match="whole number from 1 to 6"):
+            compare(*LOOK, digits=digits)
 
 
 def test_a_share_that_cannot_be_told_is_refused(checked: AccuracyCheck) -> None:

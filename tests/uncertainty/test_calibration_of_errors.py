@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -110,6 +111,28 @@ def test_the_minimum_is_that_of_another_search(likelihood) -> None:
         assert 2.0 * (at - best.misfit) == pytest.approx(1.96**2, abs=0.02)
 
 
+def test_a_scale_at_zero_rises_where_another_one_is_lowered() -> None:
+    """The oracle is a search of the dense likelihood over a grid of the other scale."""
+    random = np.random.default_rng(18)
+    first = random.standard_normal((16, 8))
+    second = first + 0.7 * random.standard_normal((16, 8))
+    y = 0.7 * first @ random.standard_normal(8) + 0.1 * second @ random.standard_normal(8)
+    y += 0.5 * random.standard_normal(16)
+    grid = np.concatenate([[-20.0], np.linspace(-4.0, 1.0, 120)])
+
+    def misfit(x: float) -> float:
+        cov = 0.25 * np.eye(16) + np.exp(2.0 * x) * first @ first.T
+        covs = cov + np.exp(2.0 * grid)[:, None, None] * (second @ second.T)
+        fits = np.linalg.solve(covs, np.broadcast_to(y[:, None], (len(grid), 16, 1)))[..., 0] @ y
+        return float(0.5 * np.min(np.linalg.slogdet(covs)[1] + fits))
+
+    found = Likelihood.of(y, 0.25 * np.eye(16), [first, second])
+    best = found.best(0.0)
+    assert np.exp(best.x[1]) < 1e-6
+    for limit in found.limits(best, 0, 1.96):
+        assert 2.0 * (misfit(np.log(limit)) - misfit(best.x[0])) == pytest.approx(1.96**2, abs=0.03)
+
+
 def test_intervals_hold_the_true_sigmas(found) -> None:
     """4 sets of errors twice as large as stated, seed 11; more in a slow test."""
     held = []
@@ -174,6 +197,32 @@ def test_a_source_that_is_not_there_is_zero(found) -> None:
     assert position.least == 0.0
     assert 0.0 < position.most < 1.5
     assert "at zero" in position.words
+
+
+def test_errors_far_beyond_all_factors_are_refused(found) -> None:
+    with pytest.raises(ValueError, match="more than 8103 times as large as stated for attitude"):
+        calibrated(with_errors(found, 1e5 * np.asarray(found.seen.error_enu)))
+
+
+@pytest.mark.parametrize(
+    "hold, kind, words",
+    [
+        (sources.Attitude, TypeError, "hold must be classes of error sources"),
+        (True, TypeError, "got True"),
+        ("Attitude", TypeError, "got 'Attitude'"),
+        (("Attitude",), TypeError, "got 'Attitude'"),
+        ((true_errors().sources[0],), TypeError, "hold must be classes"),
+        ((sources.Geoid,), ValueError, "the error model has no Geoid"),
+    ],
+)
+def test_what_cannot_be_held_is_refused(points, found, hold, kind: type[Exception], words: str) -> None:
+    calibrate = functools.partial(calibrated, found) if kind is ValueError else _calibrate_points(points)
+    with pytest.raises(kind, match=words):
+        calibrate(hold=hold)
+
+
+def _calibrate_points(points):
+    return functools.partial(calibrate_errors, points, LEVEL, HALF)
 
 
 def test_points_without_a_fix_are_named(found) -> None:

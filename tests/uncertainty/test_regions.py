@@ -25,6 +25,7 @@ from jaxgeo.uncertainty import ErrorModel, sample, sources
 from jaxgeo.uncertainty._level_sets import level_set
 from jaxgeo.uncertainty._region_words import area_words, length_words, percent
 from jaxgeo.uncertainty.origin import Origin
+from jaxgeo.uncertainty.regions import checked_probability
 from tests.support.clouds import PLACE, SHARE, cloud, density_of_two_hills, normal, two_hills
 
 COUNT = 20_000
@@ -288,6 +289,12 @@ def test_numbers_in_words() -> None:
 def test_probabilities_outside_0_to_1_are_refused(hills, probability) -> None:
     with pytest.raises(ValueError, match=r"probability must lie between 0 and 1, such as 0\.9"):
         hills.region(probability)
+
+
+@pytest.mark.parametrize("probability", [None, "0.9", True, [0.5], np.array([0.5, 0.9])])
+def test_what_is_no_probability_is_refused(probability) -> None:
+    with pytest.raises(ValueError, match=r"probability must lie between 0 and 1"):
+        checked_probability(probability)
 
 
 def test_samples_that_were_not_kept_are_refused() -> None:

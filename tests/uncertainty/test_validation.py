@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import Any
 
 import equinox as eqx
@@ -23,7 +24,7 @@ from jaxgeo.uncertainty import (
     sources,
     validate,
 )
-from jaxgeo.uncertainty._validate import _compared, circular_radii
+from jaxgeo.uncertainty._validate import _compared, _rank_test, circular_radii
 from jaxgeo.uncertainty.check_errors import CheckErrors, errors_at
 from jaxgeo.uncertainty.distributions import StudentT
 from jaxgeo.uncertainty.host_arrays import take
@@ -143,6 +144,42 @@ def test_a_bias_and_a_trend_are_named(found) -> None:
     trend = next(one for one in _compared(apart).dependence if one.name == "range")
     assert trend.correlation > 0.5
     assert trend.p < 0.05
+
+
+def _spearman(one: np.ndarray, other: np.ndarray) -> float:
+    test: Any = scipy.stats.spearmanr(one, other)
+    return float(test.statistic)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_few_ranks_are_tested_by_all_their_orders(count: int) -> None:
+    """The oracle is SciPy's permutation test, which goes through all of them."""
+    random = np.random.default_rng(count)
+    one, other = random.standard_normal((2, count))
+    other[1] = other[0]  # a tie
+    exact: Any = scipy.stats.permutation_test(
+        (one,), lambda x: _spearman(x, other), permutation_type="pairings", n_resamples=1000
+    )
+    correlation, p = _rank_test(one, other)
+    assert correlation == pytest.approx(exact.statistic)
+    assert p == pytest.approx(np.mean(np.abs(exact.null_distribution) >= abs(exact.statistic) - 1e-9))
+    assert _rank_test(np.arange(3.0), np.arange(3.0))[1] == pytest.approx(2.0 / 6.0)
+
+
+@pytest.mark.parametrize("error", [np.zeros(3), np.array([0.1, -0.2, 0.3])])
+def test_errors_without_scatter_are_told_of_without_warnings(found, error: np.ndarray) -> None:
+    one = _compared(with_errors(found, np.tile(error, (12, 1))))
+    assert np.isnan([axis.t for axis in one.bias]).all()
+    json.dumps(one.to_dict(), allow_nan=False)
+    if not error.any():
+        assert "against range, since it is the same for all" in one.words
+    assert "slope, which is the same for all" in one.words
+
+
+def test_large_figures_are_in_full(found) -> None:
+    words = _compared(with_errors(found, np.asarray(found.seen.error_enu) + 1000.0)).words
+    assert "e+" not in words
+    assert "east +1000 m" in words
 
 
 def test_shared_errors_count_for_fewer_points(found) -> None:
