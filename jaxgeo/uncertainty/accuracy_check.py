@@ -104,9 +104,12 @@ def check_accuracy(
 ) -> AccuracyCheck:
     """The `accuracy` of one fix, and samples of it that are drawn whatever its method: 20 000, or as `sampling` says.
 
-    Raises as `accuracy` and `sample`. `compare` shows every method of propagation beside samples.
+    Where the accuracy is itself by samples, they are the ones after these. Raises as `accuracy` and `sample`. `compare`
+    shows every method of propagation beside samples.
     """
     options: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
     drawn = resolve_sampling(sampling, SAMPLES)
     found = accuracy(sensor, shot, uv, terrain, errors, probability=probability, sampling=drawn, **options)
-    return AccuracyCheck(found, sample(sensor, shot, uv, terrain, errors, sampling=drawn, keep=True, **options))
+    first = 0 if found.sampled is None else found.sampled.count
+    others = sample(sensor, shot, uv, terrain, errors, sampling=drawn, keep=True, first=first, **options)
+    return AccuracyCheck(found, others)

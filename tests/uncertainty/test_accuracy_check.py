@@ -154,10 +154,15 @@ def test_a_budget_of_another_probability_or_of_many_fixes_is_refused(checked: Ac
 def test_samples_on_other_ground_are_those_of_the_comparison() -> None:
     scene = read_scene(demo.scene_file())
     look = (scene.sensor, scene.shot, (2256.0, 1343.0), jaxgeo.io.example_dem(), scene.errors)
-    one = check_accuracy(*look, sampling=Sampling(count=COUNT))
+    one = AccuracyCheck(jaxgeo.accuracy(*look, sampling=Sampling(count=COUNT)), sample(*look, count=COUNT, keep=True))
     other = compare(*look, sampling=Sampling(count=COUNT))
     np.testing.assert_array_equal(one.beyond_gap, other.beyond_gap)
     assert one.jumped == other.jumped
+    # Samples that the accuracy itself is of are not asked again.
+    again = check_accuracy(*look, sampling=Sampling(count=COUNT))
+    assert int(again.accuracy.method) == Method.samples
+    assert again.sampled.ranges == ((COUNT, 2 * COUNT),)
+    assert again.within.value == pytest.approx(0.9, abs=0.03)  # five standard deviations of both
 
 
 @pytest.mark.costly
