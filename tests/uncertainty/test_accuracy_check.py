@@ -16,7 +16,7 @@ import jaxgeo
 from jaxgeo import Sampling, demo
 from jaxgeo.io.dem import DATA
 from jaxgeo.io.scene import read_scene
-from jaxgeo.uncertainty import AccuracyCheck, Method, budget, check_accuracy, compare, propagate
+from jaxgeo.uncertainty import AccuracyCheck, Method, budget, check_accuracy, compare, propagate, sample
 from jaxgeo.uncertainty._figures import figure as shown
 from jaxgeo.uncertainty.intervals import share_of
 from jaxgeo.uncertainty.method_selection import Diagnostics, explain_method
