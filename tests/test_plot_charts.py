@@ -276,6 +276,7 @@ def test_residuals_beyond_the_test_are_marked(ax) -> None:
     assert "2 beyond it" in words(ax)
 
 
+@pytest.mark.costly
 def test_the_histogram_counts_what_is_checked(ax) -> None:
     checked = judged(wrong=(4, 9))
     assert plot.residual_histogram(adjusted(), ax, checked=checked) is ax

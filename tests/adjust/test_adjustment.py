@@ -346,6 +346,7 @@ def test_a_tight_prior_holds_and_a_loose_one_does_nothing(calibrated: Adjustment
         assert known.sigma == pytest.approx(free.sigma, rel=1e-5)
 
 
+@pytest.mark.costly
 def test_what_is_fixed_is_the_limit_of_a_prior(calibrated: Adjustment) -> None:
     # Sigmas of the others that are known beforehand keep the program; only what is free of a mount changes.
     held = adjust(calibrated.block, replace(EVERYTHING, boresight=Fixed(), shift=Fixed()))

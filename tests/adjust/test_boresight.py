@@ -150,6 +150,7 @@ def found(request: pytest.FixtureRequest) -> tuple[Simulated, Adjustment]:
     return of, adjust(of.block(sensor=astray(of)), KNOWN)
 
 
+@pytest.mark.costly
 def test_a_calibration_is_the_sensor_as_it_was_found(found: tuple[Simulated, Adjustment]) -> None:
     of, adjustment = found
     result = calibration(adjustment, of.sensor)

@@ -353,6 +353,7 @@ def test_with_lever_arms_nothing_comes_nearer_but_for_what_a_lever_is_of_the_way
 # What goes wrong has a status, lane by lane.
 
 
+@pytest.mark.costly
 def test_what_cannot_be_asked_has_a_status_and_leaves_the_others():
     sensor = SENSORS["two axes"]
     looks = random_looks(sensor, seed=3)

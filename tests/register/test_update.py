@@ -117,6 +117,7 @@ def test_exact_ties_give_back_the_look():
     np.testing.assert_allclose(WGS84.to_ecef(again.motion.pose.position), WGS84.to_ecef(moved.pose.position), atol=1e-6)
 
 
+@pytest.mark.costly
 def test_posterior_is_that_of_gu():
     model, tie_errors = navigation(), TieErrors(registration=3.0, terrain=5.0)
     result = update_orientation(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, tie_errors)

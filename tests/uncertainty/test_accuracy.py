@@ -34,7 +34,6 @@ def many() -> Accuracy:
     return accuracy(sensor, shot, PIXELS, terrain, errors, block=4)
 
 
-@pytest.mark.costly
 def test_every_field_of_one_fix_is_an_array(one: Accuracy) -> None:
     for name in ("probability", *RADII, "method", "cov_enu", "bias_enu", "failed"):
         assert isinstance(getattr(one, name), jax.Array), name
@@ -84,6 +83,7 @@ def test_the_interval_of_samples_is_theirs(one: Accuracy) -> None:
     assert np.isnan(dataclasses.replace(found, sampled=None).circular_interval[0])
 
 
+@pytest.mark.costly
 def test_it_goes_through_jit_and_pickle(one: Accuracy, many: Accuracy) -> None:
     for found in (one, many):
         for again in (jax.jit(lambda found: found)(found), pickle.loads(pickle.dumps(found))):
@@ -91,6 +91,7 @@ def test_it_goes_through_jit_and_pickle(one: Accuracy, many: Accuracy) -> None:
             np.testing.assert_array_equal(again.circular, found.circular)
 
 
+@pytest.mark.costly
 def test_many_pixels_have_the_shape_of_the_pixels(one: Accuracy, many: Accuracy) -> None:
     assert many.shape == (2, 2)
     assert many.cov_enu.shape == (2, 2, 3, 3)
@@ -203,6 +204,7 @@ def test_a_fix_that_is_missing_is_raised_for_one_and_told_of_many() -> None:
 # Old names, for one release.
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("old, new", [("trust", "method"), ("signs", "diagnostics")])
 def test_old_fields_warn(one: Accuracy, many: Accuracy, old: str, new: str) -> None:
     for found in (one, many, uncertainty.AccuracyMap(many, many.fix.position, PIXELS)):
