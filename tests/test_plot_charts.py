@@ -243,6 +243,7 @@ def quivers(axes) -> list:
     return [one for one in axes.collections if hasattr(one, "U")]
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_arrows_are_the_residuals_of_an_image(ax) -> None:
     name = str(adjusted().block.images.name[3])
@@ -266,6 +267,7 @@ def test_arrows_are_the_residuals_of_an_image(ax) -> None:
     assert f"a residual of {key:g} px (100 times)" in words(ax)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_residuals_beyond_the_test_are_marked(ax) -> None:
     plot.residual_arrows(adjusted(), ax, checked=judged(wrong=(4, 9)))
@@ -295,6 +297,7 @@ def test_the_histogram_counts_what_is_checked(ax) -> None:
     assert "count" in ax.get_ylabel()
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_residuals_of_a_good_block_spread_as_expected(ax) -> None:
     plot.residual_histogram(adjusted(), ax)
@@ -304,6 +307,7 @@ def test_residuals_of_a_good_block_spread_as_expected(ax) -> None:
     np.testing.assert_allclose(spreads, np.sqrt(np.nanmean(checked.standardised**2, axis=0)), rtol=0, atol=0.005)
 
 
+@pytest.mark.costly
 def test_residuals_that_cannot_be_drawn(ax) -> None:
     with pytest.raises(ValueError, match="image 'i99' has no measurements in this block; others are i00"):
         plot.residual_arrows(adjusted(), ax, image="i99")

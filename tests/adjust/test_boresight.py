@@ -28,6 +28,8 @@ from jaxgeo.rotations import R_from_rotation_vector, rotation_vector_from_R
 from jaxgeo.uncertainty import ErrorModel
 from tests.support.simulated_block import Simulated, camera, simulated, small_turn, tight
 
+pytestmark = pytest.mark.costly
+
 ASTRAY = small_turn(0.003, -0.002, 0.006)
 
 
@@ -150,7 +152,6 @@ def found(request: pytest.FixtureRequest) -> tuple[Simulated, Adjustment]:
     return of, adjust(of.block(sensor=astray(of)), KNOWN)
 
 
-@pytest.mark.costly
 def test_a_calibration_is_the_sensor_as_it_was_found(found: tuple[Simulated, Adjustment]) -> None:
     of, adjustment = found
     result = calibration(adjustment, of.sensor)

@@ -72,6 +72,7 @@ def test_the_distance_of_eq_16_folds(report) -> None:
     assert column(report, "roll", "by_eq_16").max() < -0.3
 
 
+@pytest.mark.costly
 def test_compensation(report) -> None:
     example, ten, minus_ten = report.compensations
     assert example.outer_change == pytest.approx(-1.01613, abs=5e-6)

@@ -13,6 +13,8 @@ from jaxgeo import Dem, FirstHit, Geodetic, Ray
 from jaxgeo.terrain import ConstantField, TangentGrid
 from jaxgeo.terrain.search.beam import Beam, Spread
 
+pytestmark = pytest.mark.costly
+
 SIZE = 201  # posts on a side: 6 km
 SPREAD = Spread(*jnp.array([2.0, 4e-3, 6.0]))  # arrays: one program serves every spread
 MIDDLE = local_ray(-1000.0, -900.0, 2500.0, azimuth=45.0, elevation=-50.0)
@@ -75,20 +77,17 @@ def test_no_answer_changes(dem, rays, plain, beam, held):
     np.testing.assert_allclose(found.near, plain.near, rtol=0.0, atol=1e-6)  # of a track; to be polished
 
 
-@pytest.mark.costly
 def test_one_that_is_of_no_use_changes_nothing_either(dem, rays, plain, beam):
     found = brackets(*rays, dem, FirstHit(eqx.tree_at(lambda b: b.start, beam, jnp.zeros_like(beam.start))))
     np.testing.assert_array_equal(found.status, plain.status)
     np.testing.assert_allclose(found.near, plain.near, rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.costly
 def test_nothing_stands_before_its_start(plain, beam, held):
     assert np.all(np.asarray(plain.near)[held] > beam.start)
     assert beam.start > 0.8 * float(jnp.median(plain.near))
 
 
-@pytest.mark.costly
 def test_only_what_lies_within_is_held(beam, dem):
     def holds(away: float, turn: float, rise: float) -> bool:
         across = jnp.stack([-MIDDLE.direction[1], MIDDLE.direction[0], jnp.asarray(0.0)])
@@ -148,7 +147,6 @@ def test_nothing_is_before_what_each_of_its_rays_is_told(rays, plain, beam, held
     assert np.median((met - begins) / (met - ahead)) < 0.5
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("elevation", [-89.99, -30.0])
 @pytest.mark.parametrize("spread", [Spread(1e-3, 2e-2, 1e-3), Spread(60.0, 1e-3, 20.0)])
 def test_it_may_be_wide_or_point_straight_down(dem, elevation, spread):
