@@ -188,7 +188,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--targets", type=int, default=80, help="looks at each terrain")
     parser.add_argument("--pieces", type=int, default=8, help="looks of each class whose pieces are checked")
-    parser.add_argument("--fresh", type=int, default=0, help="a number: other made-up terrain and looks than before")
+    parser.add_argument("--fresh", type=int, default=0, help="a number: other synthetic terrain and looks than before")
     options = parser.parse_args()
     for table in study(options.targets, options.pieces, options.fresh):
         print(table.markdown())

@@ -24,7 +24,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
 import xarray
 from looks import FIRST_HIT, PIXEL, cases, errors, item, look_from, made_up_of, sampled, terrains
 from measuring import Column, Table
@@ -34,6 +33,7 @@ from jaxgeo.cluster import connect
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.uncertainty import Level, Method, method_selection
+from jaxgeo.uncertainty.intervals import share_of
 from jaxgeo.uncertainty.linear import propagate_linear
 from jaxgeo.uncertainty.linear_accuracy import linear_radii, select_linear
 
@@ -308,19 +308,11 @@ def coverage(targets: int, samples: int, fresh: int) -> Table:
         parts = [covered(dem, -(-targets // len(dems)), samples, seed + k) for k, dem in enumerate(dems)]
         method, inside = np.concatenate(parts).T
         by_trust = [percent(inside[method == method]) for method in Method]
-        low, high = (100.0 * x for x in binomial_interval(int(inside.sum()), inside.size))
+        _, low, high = (100.0 * x for x in share_of(np.flatnonzero(inside), inside.size))
         sent = percent(method == Method.samples)
         table.rows.append([name, inside.size, percent(inside), low, high, *by_trust, sent])
         print(table.rows[-1], file=sys.stderr, flush=True)
     return table
-
-
-def binomial_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson interval of a share."""
-    aside = 0.5 * (1.0 - confidence)
-    low = scipy.special.betaincinv(hits, count - hits + 1, aside) if hits else 0.0
-    high = scipy.special.betaincinv(hits + 1, count - hits, 1.0 - aside) if hits < count else 1.0
-    return float(low), float(high)
 
 
 def main() -> None:
@@ -332,7 +324,7 @@ def main() -> None:
     parser.add_argument("--output", type=pathlib.Path, help="a PNG of the trade-off")
     parser.add_argument("--cluster", help="workers of Dask: local:2, tcp://host:port or a scheduler file")
     parser.add_argument("--folder", type=pathlib.Path, help="where finished terrains are kept, for a run that goes on")
-    parser.add_argument("--fresh", type=int, default=0, help="a number: other made-up terrain and looks than before")
+    parser.add_argument("--fresh", type=int, default=0, help="a number: other synthetic terrain and looks than before")
     options = parser.parse_args()
     if options.coverage:
         tables = [coverage(options.targets or 1000, options.samples, options.fresh)]

@@ -20,6 +20,15 @@ Refraction = Annotated[
     typer.Option("--refraction", help="Apply refraction (US Standard Atmosphere 1976).", rich_help_panel=SEEN),
 ]
 
+Scene = Annotated[
+    pathlib.Path | None,
+    typer.Option(
+        "--scene",
+        metavar="FILE",
+        help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
+    ),
+]
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ObservationOptions(OptionGroup):
@@ -35,14 +44,7 @@ class ObservationOptions(OptionGroup):
             show_default=False,
         ),
     ] = None
-    scene: Annotated[
-        pathlib.Path | None,
-        typer.Option(
-            "--scene",
-            metavar="FILE",
-            help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
-        ),
-    ] = None
+    scene: Scene = None
     shots: Annotated[
         pathlib.Path | None,
         typer.Option("--shots", metavar="FILE", help="With --scene: CSV with a shot and a pixel per row."),

@@ -13,7 +13,7 @@ from jaxgeo.report import words
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, AccuracyCheck, Method
+from jaxgeo.uncertainty import NO_FIX, Method
 
 Row = Mapping[str, Any]
 VERDICTS = {
@@ -59,22 +59,9 @@ def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     )
     figures = [(f"{kind}{percent}", words.length(float(np.asarray(x)[index])), what) for kind, x, what in radii]
     method = Method(int(np.asarray(one.method)[index]))
-    agreed = "" if detail.checked is None else _agreed(detail.checked)
+    agreed = "" if detail.checked is None else detail.checked.words
     said = {"figures": figures, "method": method.words, "verdict": VERDICTS[method], "because": row["accuracy_text"]}
     return said | {"agreed": agreed}
-
-
-def _agreed(checked: AccuracyCheck) -> str:
-    """The share of the samples within the circular error, one or two sentences."""
-    name, share = f"CE{words.percent_name(checked.accuracy.level())}", checked.within
-    count = words.count(checked.sampled.count)
-    low, high = 100.0 * share.low, 100.0 * share.high
-    said = f"{100.0 * share.value:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %, "
-    said += "95 % interval)."
-    jumped, failed = checked.jumped, checked.sampled.failed
-    if jumped > 0.0 or failed > 0.0:
-        said += f" {words.share(jumped)} of them hit a nearer or farther slope, {words.share(failed)} have no fix."
-    return said
 
 
 def _mgrs(lat: float, lon: float) -> str | None:

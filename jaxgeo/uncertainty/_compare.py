@@ -153,9 +153,7 @@ def compare(
         rows, quantiles = _rows(values, drawn, digits)
     beyond = np.zeros(drawn.count, bool)
     if drawn.errors_enu is not None:
-        ahead = np.asarray(nominal.direction_enu)[:2]
-        along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
-        beyond = profile.jumped(np.nan_to_num(along))
+        beyond = profile.beyond_gap(drawn.errors_enu, nominal.direction_enu)
     linear = {name: result for name, result in methods.items() if isinstance(result, Propagation)}
     jumped = float(beyond.mean())
     return Comparison(nominal.fix, rows, quantiles, digits, jumped, drawn.failed, drawn, linear, beyond)

@@ -53,13 +53,11 @@ class AccuracyCheck(Record):
     @property
     def beyond_gap(self) -> np.ndarray:
         """Mask (count,) of the samples on other ground than the fix, beyond a gap of hidden ground."""
-        accuracy, errors = self.accuracy, self.sampled.errors_enu
-        assert accuracy.propagation is not None
-        assert accuracy.profile is not None
+        linear, profile, errors = self.accuracy.propagation, self.accuracy.profile, self.sampled.errors_enu
+        assert linear is not None
+        assert profile is not None
         assert errors is not None
-        ahead = np.asarray(accuracy.propagation.nominal.direction_enu)[:2]
-        along = (errors + self.sampled.centre_enu)[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
-        return accuracy.profile.jumped(np.nan_to_num(along))
+        return profile.beyond_gap(errors + self.sampled.centre_enu, linear.nominal.direction_enu)
 
     @property
     def jumped(self) -> float:
@@ -73,8 +71,8 @@ class AccuracyCheck(Record):
         name, count = f"CE{100.0 * self.accuracy.level():g}", f"{self.sampled.count:,}".replace(",", " ")
         own = ", which is of these samples" if self._is_of_these_samples else ""
         said = f"{share:.1f} % of {count} samples lie within this {name} ({low:.1f} to {high:.1f} %){own}."
-        if self.jumped > 0.0 or self.sampled.failed > 0.0:
-            jumped, failed = 100.0 * self.jumped, 100.0 * self.sampled.failed
+        jumped, failed = 100.0 * self.jumped, 100.0 * self.sampled.failed
+        if jumped > 0.0 or failed > 0.0:
             said += f" {figure(jumped, 2)} % of them hit a nearer or farther slope, {figure(failed, 2)} % have no fix."
         return said
 

@@ -11,6 +11,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import IndexField, Matrix3Field, ScalarField, Vector3Field
@@ -119,11 +120,8 @@ class Accuracy(OldNames, Record):
         synthetic and real terrain of which samples tell the 90 % circular error (benchmarks/verdict.py). By samples it
         is their confidence interval, of one fix with its details; NaN of others.
         """
-        is_linear = (self.method == Method.facet.value) | (self.method == Method.footprint.value)
-        factor = jnp.exp(relative_margin(self.diagnostics))
-        low, high = (jnp.where(is_linear, self.circular * times, jnp.nan) for times in (1.0 / factor, factor))
         if self.sampled is None:
-            return low, high
+            return _linear_interval(self.circular, self.method, self.diagnostics)
         found = self.sampled.circular_error(self.level())
         return jnp.asarray(found.low), jnp.asarray(found.high)
 
@@ -154,6 +152,14 @@ class Accuracy(OldNames, Record):
         if self.shape:
             raise ValueError(f"{name} is that of one fix; this is the accuracy of {self.shape}: found[3].{name}.")
         return self
+
+
+@quick_filter_jit
+def _linear_interval(circular: ScalarField, method: IndexField, diagnostics: Diagnostics) -> tuple[Any, Any]:
+    """Interval of circular errors by linear propagation, NaN of others."""
+    is_linear = (method == Method.facet.value) | (method == Method.footprint.value)
+    factor = jnp.exp(relative_margin(diagnostics))
+    return jnp.where(is_linear, circular / factor, jnp.nan), jnp.where(is_linear, circular * factor, jnp.nan)
 
 
 def summary(accuracy: Any, noun: str, meaning: Callable[[Status], str] = lambda status: status.message) -> str:

@@ -80,6 +80,15 @@ class Profile(NamedTuple):
         places, unseen, gap = (np.asarray(x) for x in (self.places, self.unseen, self.gap))
         return np.abs(np.interp(ahead, places, unseen) - unseen[NODES]) > gap
 
+    def beyond_gap(self, offsets_enu: np.ndarray, direction_enu: Vector3) -> np.ndarray:
+        """Whether points (n, 3) at offsets in m from the fix, NaN without ground, lie beyond a gap of hidden ground.
+
+        `direction_enu` is the nominal line of sight; not traced.
+        """
+        ahead = np.asarray(direction_enu)[:2]
+        along = offsets_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), LEAST))
+        return self.jumped(np.nan_to_num(along))
+
     def circular_error(self, probability: float | Scalar, near: Bracket | None = None) -> Scalar:
         """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail.
 

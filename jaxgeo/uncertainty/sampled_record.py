@@ -27,7 +27,7 @@ from jaxgeo.uncertainty.origin import Origin
 
 if TYPE_CHECKING:
     from jaxgeo.terrain import Dem
-    from jaxgeo.uncertainty.regions import ProbabilityMap, Region, Share
+    from jaxgeo.uncertainty.regions import ProbabilityMap, Region
 
 
 class Quantile(NamedTuple):

@@ -1,4 +1,4 @@
-"""Stated against actual errors: a true model is accepted, a wrong one is found out, and every point is told of."""
+"""Stated against actual errors: a true model is accepted, a wrong one is found out, and no point is lost."""
 
 from __future__ import annotations
 
