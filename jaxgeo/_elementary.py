@@ -57,14 +57,16 @@ def _(size: int, is_batched: list[bool], angle: Array) -> tuple[tuple[Array, Arr
     does not vectorise. If all angles are within `_NEAR` of the first, a short series about the first is sufficient.
     """
     del is_batched
-    if angle.ndim != 1 or size < _CROWD:
+    if angle.ndim > 2 or size < _CROWD or not angle.size:
         return _sine_and_cosine(angle), (True, True)
-    is_near = jnp.max(jnp.abs(angle - angle[0])) < _NEAR
-    return jax.lax.cond(is_near, _about_first, _of_any, angle), (True, True)
+    angle = angle.T  # several angles of an item: all first ones, all second ones, ...
+    is_near = jnp.max(jnp.abs(angle - angle[..., :1])) < _NEAR
+    sine, cosine = jax.lax.cond(is_near, _about_first, _of_any, angle)
+    return (sine.T, cosine.T), (True, True)
 
 
 def _about_first(angle: Array) -> tuple[Array, Array]:
-    first = angle[0]
+    first = angle[..., :1]
     x = angle - first
     squared = x * x
     sine, cosine = jnp.full_like(x, _NEAR_SINE[-1]), jnp.full_like(x, _NEAR_COSINE[-1])

@@ -34,19 +34,26 @@ def Rz(angle: Scalar) -> Matrix3:
 
 def about_x(angle: Scalar, v: Components) -> Components:
     """`Rx(angle)` times a vector, by components: for a batch, building the matrices takes longer than using them."""
-    s, c = sine_and_cosine(angle)
-    return v[0], c * v[1] - s * v[2], s * v[1] + c * v[2]
+    return turned_x(*sine_and_cosine(angle), v)
 
 
 def about_y(angle: Scalar, v: Components) -> Components:
     """`Ry(angle)` times a vector (see `about_x`)."""
-    s, c = sine_and_cosine(angle)
+    return turned_y(*sine_and_cosine(angle), v)
+
+
+def turned_x(s: Scalar, c: Scalar, v: Components) -> Components:
+    """`about_x` from the sine and cosine of the angle."""
+    return v[0], c * v[1] - s * v[2], s * v[1] + c * v[2]
+
+
+def turned_y(s: Scalar, c: Scalar, v: Components) -> Components:
+    """`about_y` from the sine and cosine of the angle."""
     return c * v[0] + s * v[2], v[1], c * v[2] - s * v[0]
 
 
-def about_z(angle: Scalar, v: Components) -> Components:
-    """`Rz(angle)` times a vector (see `about_x`)."""
-    s, c = sine_and_cosine(angle)
+def turned_z(s: Scalar, c: Scalar, v: Components) -> Components:
+    """`Rz` times a vector, from the sine and cosine of the angle (see `about_x`)."""
     return c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
 
 
@@ -57,7 +64,7 @@ def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> M
 
 @one_program
 def _product_of_turns(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
-    (sh, ch), (sp, cp), (sr, cr) = (sine_and_cosine(angle) for angle in (heading, pitch, roll))
+    (sh, sp, sr), (ch, cp, cr) = sine_and_cosine(jnp.stack([heading, pitch, roll]))
     forward, right, down = [ch, sh], [-sh, ch], [ch * sp, sh * sp]
     return matrix(
         [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import equinox as eqx
@@ -13,10 +13,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, check_finite
+from jaxgeo._elementary import sine_and_cosine
 from jaxgeo._numerics import matmul3, within
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Vector3
-from jaxgeo.rotations import Rx, Ry, Rz, about_x, about_y, about_z
+from jaxgeo.rotations import Components, Rx, Ry, Rz, turned_x, turned_y, turned_z
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 Readings: TypeAlias = Float[Array, " axes"]
@@ -32,7 +33,7 @@ else:
     LimitsField: TypeAlias = Num[ArrayLike, "... axes 2"]
 
 _ROTATIONS = {"x": Rx, "y": Ry, "z": Rz}
-_TURNS = {"x": about_x, "y": about_y, "z": about_z}
+_TURNS = {"x": turned_x, "y": turned_y, "z": turned_z}
 _RIGHT_ANGLE = math.pi / 2.0
 
 
@@ -177,12 +178,17 @@ class Gimbal(Record):
             R = matmul3(R, _ROTATIONS[axis](angle))
         return R
 
-    def to_base(self, readings: ReadingsLike, v_head: Vector3) -> Vector3:
-        """Rotates a vector from head to base axes, axis by axis, without a matrix."""
-        x, y, z = v_head[0], v_head[1], v_head[2]
-        for axis, angle in zip(reversed(self.axes), reversed(self.angles(readings)), strict=True):
-            x, y, z = _TURNS[axis](angle, (x, y, z))
-        return jnp.stack([x, y, z])
+    def base_from_head(self, readings: ReadingsLike) -> Callable[[Vector3], Vector3]:
+        """Function that rotates a vector from head to base axes, axis by axis, without a matrix."""
+        sines, cosines = sine_and_cosine(self.angles(readings))  # of all axes at once: less to compile
+
+        def turned(v_head: Vector3) -> Vector3:
+            v: Components = (v_head[0], v_head[1], v_head[2])
+            for axis, s, c in reversed(list(zip(self.axes, sines, cosines, strict=True))):
+                v = _TURNS[axis](s, c, v)
+            return jnp.stack(v)
+
+        return turned
 
     def inside_limits(self, readings: ReadingsLike) -> Flag:
         """Whether every reading is within its limits, bounds included."""

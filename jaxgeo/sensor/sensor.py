@@ -61,9 +61,10 @@ class Sensor(Record):
         Faster if every line has its own shot; for many lines from one shot, the single matrix of `sight` is faster.
         """
         mount = as_float64(self.mount, "mount")
+        base_from_head = self.gimbal.base_from_head(station.gimbal_readings)
 
         def to_ecef(v_head: Vector3) -> Vector3:
-            v_base = self.gimbal.to_base(station.gimbal_readings, v_head)
+            v_base = base_from_head(v_head)
             if self.gimbal.reference == "level":
                 return matvec(station.R_ecef_from_level, v_base)
             return matvec(station.R_ecef_from_body, matvec(mount.R_body_from_base, v_base))

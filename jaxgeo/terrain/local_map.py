@@ -88,7 +88,8 @@ class LocalMap(Record):
 
     def track(self, line: Line) -> Track:
         """The track of a ray from one end of the box to the other; tau runs along the box's first axis."""
-        row, col, height = (_along(line.across, coefficients) for coefficients in self.coefficients)
+        all_three = jax.lax.map(lambda one: _along(line.across, one), self.coefficients)  # compiled once
+        row, col, height = (jax.tree.map(lambda x, k=k: x[k], all_three) for k in range(3))
         return Track(row, col, height, line.middle, line.half, jnp.asarray(self.error))
 
     def slopes(self, extent: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:

@@ -62,9 +62,11 @@ class Random(AbstractDraws):
         def uniform(index: IndexField) -> Pairs:
             _check(key, index, size, self.most)
             own = jax.random.key_data(jax.random.fold_in(key, OWN))
-            pair = jnp.arange(0, size, 2, dtype=jnp.uint32)
-            sample = jnp.full(pair.shape, jnp.asarray(index).astype(jnp.uint32))
-            return _centre(*threefry(own, sample, pair)), _centre(*threefry(own, sample, pair + 1))
+            even = jnp.arange(0, size, 2, dtype=jnp.uint32)
+            numbers = jnp.concatenate([even, even + 1])
+            sample = jnp.full(numbers.shape, jnp.asarray(index).astype(jnp.uint32))
+            centred = _centre(*threefry(own, sample, numbers))
+            return centred[: even.size], centred[even.size :]
 
         def polar(uniform: Pairs) -> Pairs:
             centred, turn = uniform

@@ -109,10 +109,10 @@ def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
         (here_ray, here_way), here = jax.tree.map(part, (ray, way)), ground.of_rays(part)
         walker, track = _at_start(here_ray, here_way, here, beam)
-        few = 0 if beam is None else size // share  # rays outside the beam wait for the rounds
-        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way, few)
         if beam is None:
+            walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way)
             walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
+        # rays outside the beam wait for the rounds
         walker = _one_round(walker, track, here, here_way, few=size // share)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
