@@ -246,7 +246,7 @@ def _delivered(found: Any, traced: Any) -> Any:
 
     @of_one.def_vmap
     def _(axis_size: int, in_batched: Any, _: Any) -> Any:
-        return jax.tree.map(jnp.asarray, found), jax.tree.map(lambda _: True, found)
+        return jax.device_put(found), jax.tree.map(lambda _: True, found)  # asarray would compile a program each
 
     return of_one(traced)
 

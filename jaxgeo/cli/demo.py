@@ -40,10 +40,11 @@ def demo_command(
 
 def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
     """Run the demo; with `inputs`, print the result as JSON."""
-    from jaxgeo import demo
+    if write_scene is not None:
+        from jaxgeo import demo
 
-    _check_one_is_not_the_other(output, write_scene)
-    check_no_overwrite("--write-scene", write_scene, [demo.scene_file()])
+        _check_one_is_not_the_other(output, write_scene)
+        check_no_overwrite("--write-scene", write_scene, [demo.scene_file()])
     with destination("--output", output, binary=True) as stream:
         picture_format = _picture_format(output)
         if write_scene is not None:
@@ -56,8 +57,8 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[s
         Console().print(f"figure: {output}", highlight=False, soft_wrap=True)
 
 
-def _check_one_is_not_the_other(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
-    if write_scene is not None and write_scene.resolve() == output.resolve():
+def _check_one_is_not_the_other(output: pathlib.Path, write_scene: pathlib.Path) -> None:
+    if write_scene.resolve() == output.resolve():
         raise UserError(f"--write-scene {write_scene}: the figure is written there; name another file.")
 
 
@@ -78,16 +79,16 @@ def _write_demo_scene(path: pathlib.Path) -> None:
 
 def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any]:
     """(rows of fixes, the demo), printed if `shows`."""
+    compile_quickly(meanwhile=("jaxgeo.demo", "jaxgeo.plot"))
     from jaxgeo import demo
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
-    compile_quickly()
     enable_x64()
     console = Console()
     with working("compiling, locating and sampling"), ThreadPoolExecutor() as pool:
-        pool.submit(importlib.import_module, "jaxgeo.plot")  # while XLA compiles; if it is missing, `_draw` says so
+        pool.submit(importlib.import_module, "jaxgeo.plot")  # if it is missing, `_draw` says so
         made = demo.make_demo()
     rows = [
         {"u": u, "v": v, **row} for (u, v), row in zip(made.uv, fix_rows(made.fix, height_msl(made.fix)), strict=True)

@@ -6,9 +6,9 @@ import pathlib
 from typing import Any, BinaryIO
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo.demo.scene import VIEW, Demo, sampled
 from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import FrameCamera
@@ -71,7 +71,7 @@ def _draw_view(demo: Demo, ax: Any) -> None:
     camera = demo.sensor.camera
     assert isinstance(camera, FrameCamera)
     relief = plot.shaded_relief(demo.dem)[..., :3]
-    rowcol = np.asarray(_rowcol(demo.dem, jax.tree.map(jnp.ravel, demo.view.position))).reshape(*VIEW, 2)
+    rowcol = np.asarray(_rowcol(demo.dem, jax.tree.map(np.ravel, demo.view.position))).reshape(*VIEW, 2)
     found = np.asarray(np.all(np.isfinite(rowcol), axis=-1))
     image = np.where(found[..., None], sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
     distance = np.asarray(demo.view.slant_range)
@@ -109,7 +109,7 @@ def _draw_section(demo: Demo, ax: Any) -> None:
     ax.set_title(f"Section under the optical axis: slant range {reach / 1000.0:.2f} km")
 
 
-@jax.jit
+@quick_filter_jit
 def _rowcol(dem: Dem, positions: Geodetic) -> jax.Array:
     return jax.vmap(dem.rowcol_at)(positions)
 

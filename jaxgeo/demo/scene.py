@@ -92,19 +92,20 @@ def make_demo() -> Demo:
         fix = located(sensor, shot, uv, dem)
         hidden = _hidden(sensor, shot, dem, *posts.result())
         found, shares = answered.result()
+        centre, along = section.result()
         return Demo(
             title=scene.title,
             dem=dem,
             sensor=sensor,
             shot=shot,
-            centre=WGS84.to_geodetic(sensor.perspective_centre(shot)),
+            centre=centre,
             uv=grid,
             fix=_part(fix, 0, n),
             outline=_part(fix, n, m).position,
             axis=_part(fix, m, m + 1),
             view=_part(fix, m + 1, len(uv), VIEW),
             hidden=hidden,
-            section=section.result(),
+            section=along,
             errors=Errors(DOUBTED, AccuracyCheck(found, drawn.result()), shares),
         )
 
@@ -149,31 +150,29 @@ def _post(dem: Dem, row: jax.Array, col: jax.Array) -> Geodetic:
     return Geodetic(lat=jnp.arcsin(z), lon=jnp.arctan2(y, x), height=height)
 
 
-def _section_under_axis(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(distance, height of the optical axis, height of the ground, hidden) along the section under the optical axis."""
-    distance, sight, ground, off_nadir = (
-        np.asarray(x) for x in _section(sensor, shot, dem, jnp.linspace(0.0, REACH, PROFILE))
-    )
+def _section_under_axis(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[Geodetic, tuple[np.ndarray, ...]]:
+    """Perspective centre; (distance, height of the optical axis, height of the ground, hidden) under the axis."""
+    centre, *along = _section(sensor, shot, dem, np.linspace(0.0, REACH, PROFILE))
+    distance, sight, ground, off_nadir = (np.asarray(x) for x in along)
     highest = np.fmax.accumulate(off_nadir)
-    return distance, sight, ground, off_nadir < highest - 1e-6
+    return centre, (distance, sight, ground, off_nadir < highest - 1e-6)
 
 
 @quick_filter_jit
-def _section(sensor: Sensor, shot: Shot, dem: Dem, ranges: jax.Array) -> tuple[jax.Array, ...]:
+def _section(sensor: Sensor, shot: Shot, dem: Dem, ranges: Any) -> tuple[Any, ...]:
     origin, direction, _ = sensor.ray_ecef(shot, _middle(sensor.camera))
-    down = -WGS84.normal_and_height(origin)[0]
-
-    foot = origin + down * WGS84.normal_and_height(origin)[1]
+    up, height = WGS84.normal_and_height(origin)
+    foot = origin - up * height
 
     def sample(s: jax.Array) -> tuple[jax.Array, ...]:
         normal, height = WGS84.normal_and_height(origin + s * direction)
         on_ellipsoid = origin + s * direction - height * normal
         rowcol = dem.grid.rowcol(normal)
         ground = jnp.where(dem.contains(rowcol), dem.surface(rowcol, dem.cell_of(rowcol)), jnp.nan)
-        off_nadir = safe_angle(on_ellipsoid + ground * normal - origin, down)
+        off_nadir = safe_angle(on_ellipsoid + ground * normal - origin, -up)
         return safe_norm(on_ellipsoid - foot), height, ground, off_nadir
 
-    return jax.vmap(sample)(ranges)
+    return WGS84.to_geodetic(origin), *jax.vmap(sample)(ranges)
 
 
 def _middle(camera: AbstractCamera) -> np.ndarray:

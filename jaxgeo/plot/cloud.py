@@ -13,8 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxgeo._checks import check_is
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._typing import Vector3
-from jaxgeo.earth import R_ecef_from_enu
+from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.fix import Fix
 from jaxgeo.plot.legends import keyed, legend_of
 from jaxgeo.plot.maps import slopes
@@ -245,7 +246,7 @@ def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarr
 
     Voids are NaN. Raises `ValueError` where no post is within reach.
     """
-    rowcol = np.asarray(dem.over(jnp.asarray(fix.ecef))[0])
+    rowcol = np.asarray(_rowcol_below(dem.grid, jnp.asarray(fix.ecef)))
     cells = np.ceil(1.5 * reach / np.asarray(dem.grid.cell_size())).astype(int) + 1
     extent = np.asarray(dem.extent)
     first = np.maximum(np.floor(rowcol).astype(int) - cells, 0)
@@ -263,17 +264,26 @@ def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarr
     return np.stack([east, north]), height
 
 
+@quick_filter_jit
+def _rowcol_below(grid: Any, p_ecef: Vector3) -> jax.Array:
+    return grid.rowcol(WGS84.normal_and_height(p_ecef)[0])
+
+
 def _offsets(dem: Dem, fix: Fix, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """East, north, up of posts from a fix, m; voids are placed at the fix's height."""
-    R = R_ecef_from_enu(fix.position)
-    height = jnp.asarray(fix.position.height)
+    rowcol = np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1).astype(float)
+    return np.asarray(_offsets_at(dem.grid, fix, rowcol))
 
-    def one(rowcol: jax.Array, p_ecef: Vector3) -> Vector3:
-        normal = dem.grid.normal(rowcol)
-        return R.T @ (surface_point(normal) + height * normal - p_ecef)
 
-    rowcol = jnp.asarray(np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1), jnp.float64)
-    return np.asarray(jax.jit(jax.vmap(jax.vmap(one, (0, None)), (0, None)))(rowcol, jnp.asarray(fix.ecef)))
+@quick_filter_jit
+def _offsets_at(grid: Any, fix: Fix, rowcol: Any) -> jax.Array:
+    R, height = R_ecef_from_enu(fix.position), jnp.asarray(fix.position.height)
+
+    def one(rowcol: jax.Array) -> Vector3:
+        normal = grid.normal(rowcol)
+        return R.T @ (surface_point(normal) + height * normal - jnp.asarray(fix.ecef))
+
+    return jax.vmap(jax.vmap(one))(rowcol)
 
 
 def _between(posts: np.ndarray, finer: int) -> np.ndarray:

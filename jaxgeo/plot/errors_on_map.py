@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from jaxgeo._checks import check_is
-from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth import Geodetic
 from jaxgeo.plot.legends import keyed
-from jaxgeo.plot.maps import degrees, lonlat_deg
+from jaxgeo.plot.maps import degrees, lonlat_deg, radii_of_curvature
 from jaxgeo.plot.style import FIX, JUMPED, SAMPLE, halo, house_axes, round_length
 from jaxgeo.uncertainty import Accuracy, Comparison, Propagation, Sampled
 
@@ -183,7 +182,7 @@ def _times(ax: Axes, position: Geodetic, across: np.ndarray, times: float | None
         return times
     lat = float(np.nanmean(np.asarray(position.lat)))
     west, east = ax.get_xlim()
-    width = math.radians(east - west) * float(WGS84.prime_vertical_radius(jnp.asarray(lat))) * math.cos(lat)
+    width = math.radians(east - west) * float(radii_of_curvature(np.array([lat]))[1][0]) * math.cos(lat)
     middle = float(np.median(across))
     return 1.0 if middle >= ENOUGH * width or middle <= 0.0 else max(round_length(SEEN * width / middle), 1.0)
 
@@ -191,8 +190,7 @@ def _times(ax: Axes, position: Geodetic, across: np.ndarray, times: float | None
 def _places(position: Geodetic, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Longitude and latitude in deg, (n, m), of offsets (n, m, 2) in m east and north of positions (n,)."""
     lat = np.asarray(position.lat)
-    radii = (WGS84.meridian_radius, WGS84.prime_vertical_radius)
-    M, N = (np.asarray(jax.vmap(radius)(jnp.asarray(lat))) for radius in radii)
+    M, N = (np.asarray(radius) for radius in radii_of_curvature(lat))
     height = np.asarray(position.height)
     lon0, lat0 = lonlat_deg(position)
     east, north = offsets[..., 0], offsets[..., 1]

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,11 +16,13 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
 from jaxgeo._checks import check_is
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.plot.close_up import Posts, interpolated
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.style import CAMERA, FIX, HIDDEN, INK, SIGHT, halo, house_axes, round_length
+from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 
 MOST_POSTS = 1200  # per side of a figure; larger terrain is subsampled
@@ -37,16 +38,14 @@ RELIEF = matplotlib.colors.LinearSegmentedColormap.from_list(
 
 def lonlat_deg(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     """(longitude, latitude) in deg as NumPy arrays, in the order of axes."""
-    lat, lon, _ = position.to_degrees()
-    return np.asarray(lon), np.asarray(lat)
+    return np.asarray(np.rad2deg(position.lon)), np.asarray(np.rad2deg(position.lat))
 
 
 def post_positions(dem: Dem, step: int = 1) -> Geodetic:
     """Every `step`-th post of a terrain as positions (rows, cols), with their ellipsoidal heights."""
     rows, cols = (int(n) for n in np.asarray(dem.extent))
     row, col = np.meshgrid(np.arange(0, rows, step), np.arange(0, cols, step), indexing="ij")
-    rowcol = jnp.asarray(np.stack([row, col], axis=-1), jnp.float64)
-    normal = np.asarray(jax.jit(jax.vmap(jax.vmap(dem.grid.normal)))(rowcol))
+    normal = _normals(dem, np.stack([row, col], axis=-1).reshape(-1, 2).astype(float)).reshape(*row.shape, 3)
     lat, lon = (
         np.arctan2(normal[..., 2], np.hypot(normal[..., 0], normal[..., 1])),
         np.arctan2(normal[..., 1], normal[..., 0]),
@@ -54,6 +53,24 @@ def post_positions(dem: Dem, step: int = 1) -> Geodetic:
     centre = lon[lon.shape[0] // 2, lon.shape[1] // 2]
     lon = centre + np.remainder(lon - centre + np.pi, 2.0 * np.pi) - np.pi  # no jump at the date line
     return Geodetic(lat=lat, lon=lon, height=np.asarray(dem.posts, np.float64)[row, col])
+
+
+def _normals(dem: Dem, rowcol: np.ndarray) -> np.ndarray:
+    """Ellipsoid normals (n, 3) at places (n, 2) on the grid; one program for up to four times as many places."""
+    count = len(rowcol)
+    room = 4 ** math.ceil(math.log(max(count, 4096), 4)) - count
+    return np.asarray(_normals_of(dem.grid, np.pad(rowcol, ((0, room), (0, 0)), "edge")))[:count]
+
+
+@quick_filter_jit
+def _normals_of(grid: Any, rowcol: Any) -> Any:
+    return jax.vmap(grid.normal)(rowcol)
+
+
+@quick_filter_jit
+def radii_of_curvature(lat: Any) -> tuple[Any, Any]:
+    """Radii of curvature (n,) of the ellipsoid in the meridian and the prime vertical, m, at latitudes in rad."""
+    return jax.vmap(WGS84.meridian_radius)(lat), jax.vmap(WGS84.prime_vertical_radius)(lat)
 
 
 def map_axes(dem: Dem, ax: Axes | None = None) -> Axes:
@@ -218,7 +235,7 @@ def fixes(fix: Fix, ax: Axes | None = None, *, label: str = "fixes") -> Axes:
     """A marker for each fix of a batch that has coordinates: filled if its status is ok, else open."""
     check_is(fix, Fix, "fix", "Make one with jaxgeo.locate.")
     lon, lat = (np.ravel(x) for x in lonlat_deg(fix.position))
-    known, ok = np.isfinite(lon), np.ravel(np.asarray(fix.ok))
+    known, ok = np.isfinite(lon), np.ravel(np.asarray(fix.status) == Status.hit)
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": FIX, "zorder": 5}
     with house_axes(ax, tall=0.8) as ax:
         if (known & ~ok).any():
@@ -260,7 +277,7 @@ def scale_bar(ax: Axes, length_m: float | None = None, *, anchor: tuple[float, f
     """A scale bar of a round length, about a fifth of the map, at `anchor` in fractions of the axes."""
     (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
     lat = math.radians(south + anchor[1] * (north - south))
-    metres_per_degree = math.radians(1.0) * float(WGS84.prime_vertical_radius(jnp.asarray(lat))) * math.cos(lat)
+    metres_per_degree = math.radians(1.0) * float(radii_of_curvature(np.array([lat]))[1][0]) * math.cos(lat)
     length = length_m or round_length(0.2 * (east - west) * metres_per_degree)
     x0, y0 = west + anchor[0] * (east - west), south + anchor[1] * (north - south)
     x1 = x0 + length / metres_per_degree
@@ -285,8 +302,7 @@ def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> Axes:
 def plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     """(east, north) in m about the centre, accurate enough for slopes."""
     lat, lon = np.asarray(position.lat), np.asarray(position.lon)
-    middle = jnp.asarray(lat.mean())
-    M, N = float(WGS84.meridian_radius(middle)), float(WGS84.prime_vertical_radius(middle))
+    M, N = (float(radius[0]) for radius in radii_of_curvature(lat.mean(keepdims=True).ravel()))
     return N * np.cos(lat) * (lon - lon.mean()), M * (lat - lat.mean())
 
 

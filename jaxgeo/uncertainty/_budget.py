@@ -25,7 +25,7 @@ from jaxgeo.uncertainty.metrics import circular_error
 from jaxgeo.uncertainty.metrics._host import host_slopes
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.slopes import along_plane
+from jaxgeo.uncertainty.slopes import Surface, along_plane
 from jaxgeo.uncertainty.sources import Correlated
 from jaxgeo.uncertainty.sources.base import AbstractSource
 
@@ -161,12 +161,10 @@ class Linear(Record):
                 f"{what} is of one observation; this propagation has the shape {jnp.shape(propagation.fix.status)}. "
                 "Take one: jax.tree.map(lambda x: x[0], propagation)."
             )
-        if not bool(jnp.all(jnp.isfinite(propagation.cov_enu))):
+        if not all(map(math.isfinite, jax.device_get(propagation.cov_enu).ravel())):
             status = Status(int(propagation.fix.status))
             raise ValueError(f"{what} needs a fix, and there is none: {status.name}: {status.message}")
-        surface, direction = propagation.surface, propagation.nominal.direction_enu
-        along = direction / along_plane(surface.normal, direction)
-        rough = jnp.outer(along, along) * surface.roughness**2
+        rough = _of_roughness(propagation.surface, propagation.nominal.direction_enu)
         return cls(propagation.jacobian, rough, propagation.bias_enu, propagation.model)
 
     def swept(self, sigma: Sigmas) -> Matrix3:
@@ -179,18 +177,25 @@ class Linear(Record):
         return (self.swept(sigma) + self.rough_enu)[:2, :2]
 
 
+@quick_filter_jit
+def _of_roughness(surface: Surface, direction_enu: Vector3) -> Matrix3:
+    """Contribution of the ground's roughness to the covariance of the fix, m2."""
+    along = direction_enu / along_plane(surface.normal, direction_enu)
+    return jnp.outer(along, along) * surface.roughness**2
+
+
 def error_and_slopes(linear: Linear, sigma: Sigmas, probability: Scalar) -> tuple[Scalar, Sigmas]:
     """(circular error in m, its derivative by each standard deviation, m per unit).
 
     The chain rule over the covariance keeps the part that is slow to compile the same for all error models.
     """
-    cov, by_sigma = _level_and_slopes(linear, sigma)
-    bias = linear.bias_enu[:2]
+    cov, by_sigma = jax.device_get(_level_and_slopes(linear, sigma))  # a program for each operation would follow
+    bias = jax.device_get(linear.bias_enu)[:2]
     error: Any = circular_error(cov, probability, bias)
     by_cov = host_slopes(cov, error, bias)
     if by_cov is None:
         error, by_cov = _error_and_slopes(cov, probability, bias)
-    return error, jnp.sum(by_cov[:, :, None] * by_sigma, axis=(0, 1))
+    return error, jax.device_put((by_cov[:, :, None] * by_sigma).sum(axis=(0, 1)))
 
 
 _error_and_slopes = quick_jit(jax.value_and_grad(circular_error))
@@ -241,8 +246,8 @@ def budget(propagation: Propagation | Accuracy, probability: ArrayLike | None = 
         propagation, level = _propagation_of(propagation, probability)
     linear = Linear.of(propagation, "An error budget")
     probability = check_probability(level)
-    covs, others = _causes(linear)
-    without = [float(circular_error(cov[:2, :2], probability, linear.bias_enu[:2])) for cov in others]
+    covs, others, bias = jax.device_get((*_causes(linear), linear.bias_enu))
+    without = [float(circular_error(cov[:2, :2], probability, bias[:2])) for cov in others]
     error, slopes = error_and_slopes(linear, sigmas_of(linear.model), probability)
     radius, note = float(error), propagation.note
     if stated is not None:
@@ -250,12 +255,12 @@ def budget(propagation: Propagation | Accuracy, probability: ArrayLike | None = 
         if int(stated.method) == Method.samples:
             times, note = math.nan, NOT_LINEAR if note is None else f"{NOT_LINEAR} {note}"
         without, slopes = [times * one for one in without], times * slopes
-    variances = [_variance(cov) for cov in jax.device_get(covs)]
+    variances = [_variance(cov) for cov in covs]
     sources = _of_sources(linear.model, variances, without, slopes.tolist())
     if float(propagation.surface.roughness) > 0.0:
         sources = (*sources, SourceShare(ROUGHNESS, variances[-1], without[-1], True, ()))
     status = Status(int(propagation.fix.status))
-    return Budget(sources, _variance(propagation.cov_enu), radius, float(probability), status, note)
+    return Budget(sources, _variance(jax.device_get(propagation.cov_enu)), radius, float(probability), status, note)
 
 
 def _propagation_of(accuracy: Accuracy, probability: ArrayLike | None) -> tuple[Propagation, float]:
