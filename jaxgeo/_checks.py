@@ -11,6 +11,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax._src import xla_bridge
+from jax._src.core import trace_state_clean
 
 T = TypeVar("T")
 
@@ -80,7 +81,11 @@ def _leaf_as_float64(path: Any, leaf: Any, name: str) -> Any:
         return leaf
     dtype = np.asarray(leaf).dtype if isinstance(leaf, bool | int | float | complex) else leaf.dtype
     if dtype == np.float64 or np.issubdtype(dtype, np.integer):
-        return jnp.asarray(leaf, jnp.float64)
+        if isinstance(leaf, jax.Array) and dtype == np.float64 and not leaf.weak_type:
+            return leaf
+        if isinstance(leaf, jax.Array) or not trace_state_clean():
+            return jnp.asarray(leaf, jnp.float64)
+        return jax.device_put(np.array(leaf, np.float64))  # jnp.asarray would compile a program for each shape
     where = f"{name}{jax.tree_util.keystr(path)}"
     raise TypeError(
         f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
