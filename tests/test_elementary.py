@@ -29,12 +29,32 @@ def test_sine_and_cosine_of_a_batch_with_one_odd_argument(strange):
     angle = np.append(np.random.default_rng(0).uniform(-9.0, 9.0, 2047), strange)
     with np.errstate(invalid="ignore"):
         expected = np.sin(angle), np.cos(angle)
+    digits = 3e-16 + (0.0 if abs(strange) < 1e5 or not np.isfinite(strange) else np.spacing(strange))
     both = lambda x: jax.jvp(sine_and_cosine, (x,), (jnp.ones_like(x),))  # noqa: E731
     found, slopes = jax.jit(jax.vmap(both))(jnp.asarray(angle))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-16)
-    np.testing.assert_allclose(slopes, (expected[1], -expected[0]), rtol=0.0, atol=3e-16)
+    for of_all, exact in ((found, expected), (slopes, (expected[1], -expected[0]))):
+        np.testing.assert_allclose(np.asarray(of_all)[:, :-1], np.asarray(exact)[:, :-1], rtol=0.0, atol=3e-16)
+        np.testing.assert_allclose(np.asarray(of_all)[:, -1], np.asarray(exact)[:, -1], rtol=0.0, atol=digits)
     by_row = jax.vmap(jax.vmap(sine_and_cosine))(jnp.asarray(angle).reshape(2, 1024))
-    np.testing.assert_allclose(np.reshape(by_row, (2, -1)), expected, rtol=0.0, atol=3e-16)
+    np.testing.assert_allclose(np.reshape(by_row, (2, -1)), expected, rtol=0.0, atol=digits)
+
+
+def test_sine_and_cosine_of_several_angles_of_each_item_are_those_of_each():
+    angle = np.random.default_rng(1).uniform(-9.0, 9.0, (1024, 3)) * np.array([1.0, 1e-3, 0.0])
+    for some in (angle, 0.01 * angle):  # far from the first, and near it
+        sine, cosine = jax.jit(jax.vmap(sine_and_cosine))(jnp.asarray(some))
+        np.testing.assert_allclose(sine, np.sin(some), rtol=0.0, atol=3e-16)
+        np.testing.assert_allclose(cosine, np.cos(some), rtol=0.0, atol=3e-16)
+    assert [x.shape for x in jax.vmap(sine_and_cosine)(jnp.zeros((1024, 0)))] == [(1024, 0)] * 2
+
+
+def test_sine_and_cosine_of_large_angles_are_as_good_as_the_angle():
+    for size in (1e6, 1e8, 1e12):
+        angle = np.random.default_rng(4).uniform(-size, size, 2000)
+        sine, cosine = sine_and_cosine(jnp.asarray(angle))
+        assert np.all(np.abs(np.asarray(sine) - np.sin(angle)) <= np.spacing(np.abs(angle)) + 3e-16)
+        assert np.all(np.abs(np.asarray(cosine) - np.cos(angle)) <= np.spacing(np.abs(angle)) + 3e-16)
+    assert np.all(np.isnan(sine_and_cosine(jnp.array([1e13, -3e17, 1e300]))))
 
 
 @pytest.mark.parametrize("middle", [0.0, 1.2, -3.1, 80.0])

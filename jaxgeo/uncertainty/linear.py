@@ -211,10 +211,9 @@ def derivatives(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> 
     """Derivatives by the errors of a model; the only part of linear propagation to compile for another model."""
     model = model.at(inputs, nominal)
     cov_error = model.covariance()
-    air = jax.tree.map(jnp.asarray, inputs.air)
-    base = Tangents(inputs.ray(), air, -inputs.terrain.clearance(nominal.p_ecef, nominal.cell))
+    base, by_error = model.tangents(inputs, nominal)
     more = -model.size % AXES
-    padded = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)]), model.tangents(inputs, nominal))
+    padded = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)]), by_error)
     return Derivatives(model, cov_error, Shared(base, padded, jnp.pad(cov_error, (0, more))))
 
 

@@ -175,15 +175,17 @@ class ErrorModel(Record):
         """Derivatives of `ModelInputs.sweep` with respect to the error vector, at zero error."""
         return jax.jacfwd(lambda error: self.moved(inputs, error).sweep(nominal))(jnp.zeros(self.size))
 
-    def tangents(self, inputs: ModelInputs, nominal: NominalFix) -> Tangents:
-        """Derivatives of what `ModelInputs.sweep` depends on with respect to the error vector, at zero error."""
+    def tangents(self, inputs: ModelInputs, nominal: NominalFix) -> tuple[Tangents, Tangents]:
+        """(what `ModelInputs.sweep` depends on, its derivatives by the error vector), at zero error."""
 
-        def reached(error: Error) -> Tangents:
+        def reached(error: Error) -> tuple[Tangents, Tangents]:
             moved = self.moved(inputs, error)
             air = jax.tree.map(jnp.asarray, moved.air)
-            return Tangents(moved.ray(), air, -moved.terrain.clearance(nominal.p_ecef, nominal.cell))
+            found = Tangents(moved.ray(), air, -moved.terrain.clearance(nominal.p_ecef, nominal.cell))
+            return found, found
 
-        return jax.jacfwd(reached)(jnp.zeros(self.size))
+        by_error, base = jax.jacfwd(reached, has_aux=True)(jnp.zeros(self.size))
+        return base, by_error
 
     def check(self, inputs: ModelInputs) -> None:
         """Raise as the sources do for invalid values, and for a source that does not apply to the observation."""
