@@ -1,0 +1,319 @@
+"""Track of a target from many looks: batch least squares and a filter, with shared errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._arguments import check_terrain
+from jaxgeo._checks import check_is
+from jaxgeo._locate import FIRST_HIT
+from jaxgeo.earth.ellipsoid import WGS84
+from jaxgeo.earth.frames import R_ecef_from_enu
+from jaxgeo.sensor import Trajectory
+from jaxgeo.status import Status, count_statuses
+from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+from jaxgeo.uncertainty.host_arrays import concatenate, on_host, take
+from jaxgeo.uncertainty.look_filter import FAST, UNDETERMINED, AfterLook, Carry, Mode, World, filtered, start_of
+from jaxgeo.uncertainty.look_lines import Lines, block_size, lines_of, origins_of
+from jaxgeo.uncertainty.looks import Looks, checked_looks
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, of_arrays
+from jaxgeo.uncertainty.shared_errors import SharedErrors, for_target, shared_errors
+from jaxgeo.uncertainty.sharing import Systematic
+from jaxgeo.uncertainty.target_motion import AbstractTarget, AtRest
+from jaxgeo.uncertainty.track_record import TargetState, Track
+
+AT_REST = AtRest()
+ROUNDS = 3  # linearisations of the filter at each look
+MOST_ROUNDS, DAMPED_AFTER = 30, 8  # linearisations of the batch; later steps are halved
+CLOSE_ENOUGH = 1e-7  # m, and of the standard deviation: longest last step
+NO_FRESH = 1e-4  # factor of fresh errors for the floor
+USUAL_RANGE = 1000.0  # m: where lines of sight are parallel
+NEAREST = 1.0  # m from a camera
+
+
+class Scene(NamedTuple):
+    """Lines of sight in the frame of the track, in the order of time, and how to filter them."""
+
+    lines: Lines
+    used: np.ndarray
+    world: World
+    target: AbstractTarget
+    counts: tuple[int, int, int]
+
+
+def track(
+    looks: Looks | Sequence[Looks],
+    terrain: AbstractTerrain | None,
+    errors: ErrorModel | Any,
+    *,
+    target: AbstractTarget = AT_REST,
+) -> Track:
+    """Position and velocity of one target from looks over time, with all that the errors of the looks share.
+
+    `looks` are those of one sensor (`Looks`), or a list with one for each sensor; `target` is `AtRest()` or
+    `ConstantVelocity()`, on the terrain unless made with `on_terrain=False`, for which `terrain` may be None.
+    `errors` is the error model of all sensors; `Looks.errors` holds more for one. The sharing of each source says how
+    its errors in two looks are correlated: independent (`PerMeasurement`, `PerImage`), common to the looks of a sensor
+    (`PerFlight`) or of all (`Systematic`), or fading with time (`TimeCorrelated` with beta = 0, for each sensor).
+    A `TerrainField` is one unknown height at a target at rest.
+
+    A look determines the target's place across the line of sight, to first order in the errors, by the same
+    derivatives as in `propagate`. On the terrain the height follows the DEM, whose height error is one of the errors.
+    `batch` is the generalised least-squares estimate of all looks with their joint covariance, by Gauss-Newton.
+    `filtered` is a recursive estimate after each look, linearised at what was known by then, with the errors that are
+    not fresh as states. Nothing is known of the target before the first look. Both are exact, and equal at the last
+    look, if the problem is linear. Of errors that are not normal the variance is used (see `note`). The time grows in
+    proportion to the number of looks, and other numbers of looks use the same compiled programs.
+
+    A look without a fix, or without a line of sight if the target is free in height, is left out and keeps its
+    status; so are looks that graze the terrain. If the looks do not determine the position (free in height, from one
+    direction), its status is `weak_intersection`.
+
+    Raises `RuntimeError` with 64-bit floats off; `TypeError` for arguments of the wrong kind and sharings other than
+    those; `ValueError` for shapes that do not fit, looks that are not in the order of time, fewer usable looks than
+    unknowns, a moving target with all looks at one time, and as `propagate` for errors.
+
+    >>> from jaxgeo.uncertainty import Looks, sources, track
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=5000.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.forward())
+    >>> point = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0)
+    >>> places = [jaxgeo.Geodetic.from_degrees(lat=46.97, lon=lon, height=2600.0) for lon in (10.99, 11.0, 11.01)]
+    >>> poses = [jaxgeo.Pose.looking_at(position=place, point=point) for place in places]
+    >>> shots = [jaxgeo.Shot(pose, time=10.0 * k) for k, pose in enumerate(poses)]
+    >>> errors = jaxgeo.ErrorModel((
+    ...     sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1),
+    ...     sources.Boresight.from_degrees(heading=0.1, pitch=0.1, roll=0.1),
+    ... ))
+    >>> found = track(Looks(sensor, shots, [(1999.5, 1499.5)] * 3), jaxgeo.ConstantHeight(600.0), errors)
+    >>> print(f"CE90 {found.filtered.ce90[0]:.1f} m after one look, {found.filtered.ce90[-1]:.1f} m after three")
+    CE90 29.6 m after one look, 21.7 m after three
+    >>> print(f"claimed by a filter of independent looks: {found.independent.ce90[-1]:.1f} m")
+    claimed by a filter of independent looks: 17.1 m
+    """
+    several = checked_looks(looks)
+    check_is(target, AbstractTarget, "target", "AtRest() and ConstantVelocity() are targets.")
+    shared = _checked_errors(several, terrain, errors, target)
+    lines, starts = _lines(several, terrain, shared, target)
+    sensor, look, order = _in_order(lines)
+    status, times = (np.concatenate([np.asarray(x) for x in part])[order] for part in zip(*starts, strict=True))
+    _check_enough(status, times, target)
+    scene, at_start = _scene(lines, order, terrain, shared, target)
+
+    batch, rounds, has_converged = _batch(scene, at_start)
+    zero = np.zeros_like(at_start)
+    recursive = _run(scene, zero, _mode(rounds=ROUNDS))
+    solution = batch.state[-1]
+    independent, floor = _run(scene, solution, _mode(shared=0.0)), _run(scene, solution, _mode(fresh=NO_FRESH))
+    last = _states(take(on_host(batch), slice(-1, None)), times[-1:], has_converged)
+    return Track(
+        *(jnp.asarray(x) for x in (times, sensor, look, status)),
+        last[0],
+        _states(recursive, times),
+        _states(independent, times),
+        *(jnp.asarray(x) for x in (independent.actual, floor.cov_enu[-1])),
+        *(jnp.asarray(x) for x in (recursive.innovation, recursive.nis, recursive.degrees)),
+        target,
+        rounds,
+        ErrorModel(tuple(s for model in shared.models for s in model.sources)).left_out,
+    )
+
+
+def _checked_errors(
+    several: tuple[Looks, ...], terrain: AbstractTerrain | None, errors: Any, target: AbstractTarget
+) -> SharedErrors:
+    """The errors of all looks; checked against the first look of each sensor."""
+    if terrain is not None or target.on_terrain:
+        check_terrain(terrain, FIRST_HIT)
+    own: list[ErrorModel | None] = []
+    common = None
+    for number, looks in enumerate(several):
+        inputs = _first_inputs(looks, terrain)
+        common = for_target(checked_model(errors, inputs), target)
+        model = None if looks.errors is None else for_target(checked_model(looks.errors, inputs), target)
+        for source in () if model is None or len(several) == 1 else model.sources:
+            if isinstance(source.sharing, Systematic):
+                raise ValueError(
+                    f"looks[{number}].errors: {source.label} is Systematic, common to the looks of all sensors: give "
+                    "it with errors=, or make it PerFlight."
+                )
+        own.append(model)
+    assert common is not None
+    shared = shared_errors(common, own)
+    if not all(model.size for model in shared.models):
+        raise ValueError("errors has only heights of the terrain, which no look at a target free in height depends on.")
+    for number, (looks, columns) in enumerate(zip(several, shared.columns, strict=True)):
+        fades = np.any(columns[:, sum(shared.counts[:2]) :])
+        if fades and len(looks) > 1 and np.ptp(np.asarray(looks.times)) == 0.0:
+            raise ValueError(
+                f"looks[{number}]: all looks are at {float(np.asarray(looks.times)[0]):g} s, so that errors that fade "
+                "with time would be the same in all. Give the time of each shot, or times=."
+            )
+    return shared
+
+
+def _first_inputs(looks: Looks, terrain: AbstractTerrain | None) -> ModelInputs:
+    motion, time = looks.shots, None
+    if isinstance(motion, Trajectory):
+        time = np.asarray(looks.times)[0]
+    else:
+        motion = take(motion, 0)
+    ground = ConstantHeight(0.0) if terrain is None else terrain
+    uv = np.asarray(looks.uvs)[0]
+    return ModelInputs.of(looks.sensor, motion, uv, ground, time=time, atmosphere=looks.atmosphere)
+
+
+def _lines(
+    several: tuple[Looks, ...], terrain: AbstractTerrain | None, shared: SharedErrors, target: AbstractTarget
+) -> tuple[list[Lines], list[tuple[Any, Any]]]:
+    """(lines of sight of each sensor; their statuses and times)."""
+    ground = of_arrays(terrain if terrain is not None and target.on_terrain else ConstantHeight(0.0))
+    each = list(zip(several, shared.models, shared.columns, strict=True))
+    if target.on_terrain:
+        lines = [lines_of(looks, ground, model, columns, None) for looks, model, columns in each]
+    else:
+        places = _nearest_places([origins_of(looks, ground) for looks in several], target)
+        lines = [
+            lines_of(looks, ground, model, columns, place)._replace(ground=np.zeros((len(looks), columns.shape[1])))
+            for (looks, model, columns), place in zip(each, places, strict=True)
+        ]
+    return lines, [(one.status, one.time) for one in lines]
+
+
+def _nearest_places(origins: list[Any], target: AbstractTarget) -> list[np.ndarray]:
+    """The place of the target at each look in ECEF m (n, 3), for each sensor, nearest to all lines of sight."""
+    counts = [len(one.time) for one in origins]
+    whole = jax.tree.map(lambda *x: np.concatenate(x), *origins)
+    seen = np.asarray(whole.status) == Status.hit
+    if not seen.any():
+        return [np.zeros((count, 3)) for count in counts]
+    reference, first = whole.origin[seen][0], whole.time[seen].min()
+    since = np.where(seen, whole.time - first, 0.0)
+    T = np.eye(3)[None].repeat(len(since), axis=0)
+    T = np.concatenate([T, since[:, None, None] * T], axis=2) if target.is_moving else T
+    d = np.where(seen[:, None], whole.direction, [1.0, 0.0, 0.0])
+    across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    away = np.where(seen[:, None], whole.origin - reference, 0.0)
+    rows, right = (across @ T)[seen].reshape(-1, T.shape[2]), (across @ away[:, :, None])[seen].reshape(-1)
+    scale = np.linalg.norm(rows, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    x = np.linalg.lstsq(rows / scale, right, rcond=1e-9)[0] / scale
+    places = reference + T @ x
+    ranges = np.sum(d * (places - reference - away), axis=1)
+    behind = ranges < NEAREST
+    places = np.where(behind[:, None], reference + away + USUAL_RANGE * d, places)
+    return np.split(places, np.cumsum(counts)[:-1])
+
+
+def _in_order(lines: list[Lines]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(sensor, number of the look, order by time) of all looks."""
+    counts = [len(one.time) for one in lines]
+    sensor, look = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.arange(n) for n in counts])
+    order = np.argsort(np.concatenate([one.time for one in lines]), kind="stable")
+    return sensor[order], look[order], order
+
+
+def _check_enough(status: np.ndarray, times: np.ndarray, target: AbstractTarget) -> None:
+    """Raise `ValueError` for fewer usable looks than the unknowns need."""
+    used = status == Status.hit
+    needed, count = target.unknowns // 2, np.count_nonzero(used)
+    lost = ", ".join(f"{number} {code.name}" for code, number in count_statuses(status[~used]).items())
+    of_all = f" of {len(status)} looks; the others: {lost}" if lost else ""
+    if count < needed:
+        raise ValueError(
+            f"a {target.words} has {target.unknowns} unknowns, of which a look determines two: it needs {needed} or "
+            f"more looks that can be used; got {count}{of_all}."
+        )
+    if target.is_moving and np.ptp(times[used]) == 0.0:
+        raise ValueError(
+            f"a {target.words} needs looks at different times; all are at {times[used][0]:g} s. Give the time of each "
+            "shot, or times=."
+        )
+
+
+def _scene(
+    lines: list[Lines], order: np.ndarray, terrain: AbstractTerrain | None, shared: SharedErrors, target: AbstractTarget
+) -> tuple[Scene, np.ndarray]:
+    """(the lines of sight in the frame of the track, whose origin is at the first one that is used; start)."""
+    whole: Lines = jax.tree.map(lambda *x: np.concatenate(x)[order], *lines)
+    used = np.asarray(whole.status) == Status.hit
+    first = int(np.argmax(used))
+    origin = whole.point[first]
+    R = np.asarray(R_ecef_from_enu(WGS84.to_geodetic(jnp.asarray(origin))))
+    local = whole._replace(
+        time=whole.time - whole.time[first],
+        point=np.where(used[:, None], whole.point - origin, 0.0) @ R,
+        heading=np.where(used[:, None], whole.heading @ R, [0.0, 0.0, -1.0]),
+        bend=whole.bend @ R,
+        distance=np.where(used, whole.distance, USUAL_RANGE),
+        shift=np.einsum("ji,njz->niz", R, whole.shift),
+        slope=np.einsum("ji,njz->niz", R, whole.slope),
+    )
+    ground = of_arrays(terrain) if terrain is not None and target.on_terrain else None
+    world = World(ground, jnp.asarray(origin), jnp.asarray(R), jnp.asarray(shared.durations))
+    points, times = local.point[used][:, : target.axes], local.time[used]
+    if target.is_moving:
+        rows = np.stack([np.ones_like(times), times / max(np.ptp(times), 1.0)], axis=1)
+        start, rate = np.linalg.lstsq(rows, points, rcond=None)[0]
+        at_start = np.concatenate([start, rate / max(np.ptp(times), 1.0)])
+    else:
+        at_start = np.median(points, axis=0)
+    return Scene(local, used, world, target, shared.counts), at_start
+
+
+def _mode(shared: float = 1.0, fresh: float = 1.0, rounds: int = 0) -> Mode:
+    return Mode(jnp.asarray(shared), jnp.asarray(fresh), jnp.asarray(rounds))
+
+
+def _run(scene: Scene, state: np.ndarray, mode: Mode) -> AfterLook:
+    """Estimates after each look as NumPy arrays (n, ...), about one state if the mode says so."""
+    count = len(scene.used)
+    size = block_size(count)
+    carry: Carry = start_of(scene.target, scene.counts)
+    parts = []
+    for begin in range(0, count, size):
+        index = np.arange(begin, begin + size)
+        lines = take(scene.lines, np.minimum(index, count - 1))
+        used = jnp.asarray(scene.used[np.minimum(index, count - 1)] & (index < count))
+        states = jnp.asarray(np.broadcast_to(state, (size, len(state))))
+        carry, after = filtered(carry, lines, used, states, scene.world, mode, scene.target, scene.counts)
+        parts.append(on_host(after))
+    return concatenate(parts, count)
+
+
+def _batch(scene: Scene, start: np.ndarray) -> tuple[AfterLook, int, bool]:
+    """(estimates after each look, all linearised at the estimate of all; number of rounds; whether it converged)."""
+    state = start
+    for number in range(MOST_ROUNDS):
+        found = _run(scene, state, _mode())
+        step = found.state[-1] - state
+        spread = np.sqrt(max(np.trace(found.cov_enu[-1]), 0.0))
+        if np.max(np.abs(step[: scene.target.axes])) <= CLOSE_ENOUGH * (1.0 + spread):
+            return found, number + 1, True
+        state = state + (step if number < DAMPED_AFTER else 0.5 * step)
+    return found, MOST_ROUNDS, False
+
+
+def _states(after: AfterLook, times: np.ndarray, has_converged: bool = True) -> TargetState:
+    """States after each look; NaN where they are not determined."""
+    deviation = np.sqrt(np.maximum(np.trace(after.cov_enu, axis1=1, axis2=2), 0.0))
+    is_far = ~(deviation <= UNDETERMINED * after.distance)
+    status = np.where(after.is_known, Status.hit, Status.leaves_terrain)
+    status = np.where(has_converged, status, Status.not_converged)
+    status = np.where(is_far, Status.weak_intersection, status).astype(np.int8)
+    ok = status == Status.hit
+    numbers = (after.position, after.p_ecef, after.cov_enu)
+    position, p_ecef, cov_enu = jax.tree.map(lambda x: jnp.asarray(_known(x, ok)), numbers)
+    moves = ok & (np.sqrt(np.maximum(np.trace(after.velocity_cov_enu, axis1=1, axis2=2), 0.0)) < 0.01 * FAST)
+    velocity, velocity_cov = (jnp.asarray(_known(x, moves)) for x in (after.velocity_enu, after.velocity_cov_enu))
+    return TargetState(jnp.asarray(times), position, p_ecef, cov_enu, velocity, velocity_cov, jnp.asarray(status))
+
+
+def _known(numbers: Any, ok: np.ndarray) -> np.ndarray:
+    numbers = np.asarray(numbers)
+    return np.where(ok.reshape(-1, *[1] * (numbers.ndim - 1)), numbers, np.nan)

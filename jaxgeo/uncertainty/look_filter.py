@@ -1,0 +1,362 @@
+"""Recursive least squares over looks: a square-root information filter with shared errors as states.
+
+The state is s = (fading numbers, position and velocity at the first look, constant numbers), in the frame of the track.
+A look measures the two components of the target's distance from the line of sight across it. With the line perturbed by
+the numbers z of `SharedErrors`, 0 = b + H dx + G z; the fresh part of G z is its noise. The filter carries R s = y with R
+triangular, updated by a QR decomposition (Bierman 1977, "Factorization methods for discrete sequential estimation").
+Without a linearisation of its own at each look, it solves the normal equations of all looks.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxgeo._compile import batch_filter_jit
+from jaxgeo._numerics import dot, safe_norm
+from jaxgeo._typing import Flag, Matrix3, Scalar, Vector3
+from jaxgeo.earth.ellipsoid import WGS84
+from jaxgeo.earth.frames import R_ecef_from_enu
+from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty.look_lines import Lines
+from jaxgeo.uncertainty.target_motion import AbstractTarget
+
+FLOOR = 1e-14  # of the total variance of a look: least variance of its fresh errors, for models without any
+LEAST = 1e-6  # m: least standard deviation of a look
+FAR, FAST = 1e7, 1e5  # m, m/s: standard deviations of position and velocity before the first look
+AT_ONCE = 1e-7  # least standard deviation of the change of a fading number
+SURFACE_STEPS = 4  # to the ground at a horizontal place in the tangent plane
+UNDETERMINED = 0.1  # of the range: standard deviation of an innovation or position that is not determined
+
+
+class World(NamedTuple):
+    """What all looks share: terrain (None if the target is free in height), frame of the track, fading times in s."""
+
+    terrain: AbstractTerrain | None
+    origin: Vector3
+    R_ecef_from_track: Matrix3
+    durations: Float[Array, " fading"]
+
+
+class Mode(NamedTuple):
+    """How a pass treats the looks.
+
+    `shared`: 1 for shared errors as states, 0 to take the errors of all looks for fresh. `fresh` scales the fresh
+    errors. `rounds`: linearisations at each look, about its own estimate; 0 for one about the given states.
+    """
+
+    shared: Any
+    fresh: Any
+    rounds: Any
+
+
+class Carry(NamedTuple):
+    """State of the filter: R and y, the estimate s, its last time, and sums for the covariance of `actual`."""
+
+    R: Any
+    y: Any
+    s: Any
+    time: Any
+    fresh_sum: Any
+    constant_sum: Any
+    fading_sum: Any
+    fading_cross: Any
+
+
+class AfterLook(NamedTuple):
+    """Estimates after each look: position and its covariance in m2, velocity in m/s and its covariance, east, north,
+    up at the position.
+
+    `state` (unknowns,) is the estimate in the frame of the track. `actual` is the covariance of the position that the
+    error model with shared errors gives to the estimate of this pass. `innovation` (2,) is standardised, `nis` its
+    squared length, `degrees` the number of its components that are determined.
+    """
+
+    state: Any
+    position: Geodetic
+    p_ecef: Any
+    cov_enu: Any
+    velocity_enu: Any
+    velocity_cov_enu: Any
+    actual: Any
+    innovation: Any
+    nis: Any
+    degrees: Any
+    distance: Any
+    is_known: Any
+
+
+class Measured(NamedTuple):
+    """A look linearised at a state: `b` (2,), `H` (2, unknowns) and `G` (2, z) of 0 = b + H dx + G z; and the target
+    there, `place` (3,) in m in the frame, with its derivatives `T` (3, unknowns) and `up` (3,) by a rise of the ground.
+    """
+
+    b: Any
+    H: Any
+    G: Any
+    place: Any
+    T: Any
+    up: Any
+    distance: Any
+    is_known: Any
+
+
+def start_of(target: AbstractTarget, counts: tuple[int, int, int]) -> Carry:
+    """The filter before the first look."""
+    _, constant, fading = counts
+    unknowns = target.unknowns
+    before = np.full(unknowns, 1.0 / FAR)
+    before[target.axes :] = 1.0 / FAST
+    size = fading + unknowns + constant
+    R = np.diag(np.concatenate([np.ones(fading), before, np.ones(constant)]))
+    sums = (np.zeros((unknowns, unknowns)), np.zeros((unknowns, constant)), np.zeros((unknowns, unknowns)))
+    return Carry(R, np.zeros(size), np.zeros(size), np.array(-np.inf), *sums, np.zeros((unknowns, fading)))
+
+
+@batch_filter_jit
+def filtered(
+    carry: Carry,
+    lines: Lines,
+    used: Any,
+    states: Any,
+    world: World,
+    mode: Mode,
+    target: AbstractTarget,
+    counts: tuple[int, int, int],
+) -> tuple[Carry, AfterLook]:
+    """The filter after a block of looks (leading axis), and its estimates after each.
+
+    `states` (looks, unknowns) are those to linearise about if `mode.rounds` is 0; then looks do not depend on each
+    other by their linearisation.
+    """
+    layout = _Layout(target, counts)
+    step = lambda carry, look: _step(carry, *look, world, mode, layout)  # noqa: E731
+    return jax.lax.scan(step, carry, (lines, used, states))
+
+
+class _Layout(NamedTuple):
+    """Slices of the state and of the numbers z."""
+
+    target: AbstractTarget
+    counts: tuple[int, int, int]
+
+    @property
+    def unknowns(self) -> slice:
+        return slice(self.counts[2], self.counts[2] + self.target.unknowns)
+
+    @property
+    def fresh(self) -> slice:
+        return slice(0, self.counts[0])
+
+    @property
+    def constant(self) -> slice:
+        return slice(self.counts[0], self.counts[0] + self.counts[1])
+
+    @property
+    def fading(self) -> slice:
+        return slice(self.counts[0] + self.counts[1], sum(self.counts))
+
+    def split(self, of_z: Any) -> tuple[Any, Any, Any]:
+        """Fresh, constant and fading columns (last axis)."""
+        return of_z[..., self.fresh], of_z[..., self.constant], of_z[..., self.fading]
+
+
+def _step(
+    carry: Carry, line: Lines, used: Flag, given: Any, world: World, mode: Mode, layout: _Layout
+) -> tuple[Carry, AfterLook]:
+    since = line.time - carry.time
+    stays = jnp.exp(-since / world.durations)
+    new = jnp.maximum(jnp.sqrt(-jnp.expm1(-2.0 * since / world.durations)), AT_ONCE)
+    fading = layout.counts[2]
+    predicted = carry.s.at[:fading].multiply(stays)
+    use = jnp.where(used, 1.0, 0.0)
+
+    def update(x: Any) -> tuple[Any, ...]:
+        measured = _measured(line, x, world, layout.target)
+        A, W, noise = _equations(measured, line, mode, layout)
+        right = -measured.b + measured.H @ x
+        R, y = _qr_step(carry, stays, new, use * (W @ A), use * (W @ right))
+        s = jax.scipy.linalg.solve_triangular(R, y)
+        return R, y, s, measured, A, W, noise, right
+
+    first = jnp.where(mode.rounds > 0, predicted[layout.unknowns], given)
+    again = lambda _, x: update(x)[2][layout.unknowns]  # noqa: E731
+    x = jax.lax.fori_loop(0, mode.rounds - 1, again, first)
+    R, y, s, measured, A, W, (noise_z, noise_ground), right = update(x)
+
+    # Innovation.
+    within = jax.scipy.linalg.solve_triangular(R, (W @ A).T, trans="T")
+    inverse = W.T @ (jnp.eye(2) - use * within.T @ within) @ W
+    determined, innovation = _innovation(right - A @ predicted, inverse, line.distance)
+    innovation = jnp.where(used, innovation, 0.0)
+    degrees = jnp.where(used, jnp.sum(determined), 0)
+
+    # Position: also of the ground as it is known from the fresh errors of this look.
+    now = _measured(line, s[layout.unknowns], world, layout.target)
+    weight = use * (noise_ground @ noise_z.T) @ (W.T @ W)  # of what is left of the look in the fresh height error
+    shared = jnp.zeros(s.shape[0]).at[:fading].set(mode.shared * layout.split(line.ground)[2])
+    shared = shared.at[layout.unknowns.stop :].set(mode.shared * layout.split(line.ground)[1])
+    M = jnp.zeros((3, s.shape[0])).at[:, layout.unknowns].set(measured.T)
+    M = M + jnp.outer(measured.up, shared - weight @ A)
+    spread = jax.scipy.linalg.solve_triangular(R, M.T, trans="T")
+    left = jnp.maximum(noise_ground @ noise_ground - weight @ (noise_z @ noise_ground), 0.0)
+    cov = spread.T @ spread + jnp.outer(measured.up, measured.up) * left
+    rise = shared @ s + weight @ (right - A @ s)
+    p_ecef = world.origin + world.R_ecef_from_track @ (now.place + now.up * rise)
+
+    sums, actual = _actual(carry, line, measured, weight, W, stays, use, layout, R)
+    velocity, V = _velocity(now, s, R, layout)
+    position = WGS84.to_geodetic(p_ecef)
+    to_enu = R_ecef_from_enu(position).T @ world.R_ecef_from_track
+    turned = lambda cov: to_enu @ cov @ to_enu.T  # noqa: E731
+    after = AfterLook(
+        s[layout.unknowns],
+        position,
+        p_ecef,
+        turned(cov),
+        to_enu @ velocity,
+        turned(V),
+        turned(actual),
+        innovation,
+        dot(innovation, innovation),
+        degrees,
+        now.distance,
+        now.is_known,
+    )
+    return Carry(R, y, s, line.time, *sums), after
+
+
+def _measured(line: Lines, x: Any, world: World, target: AbstractTarget) -> Measured:
+    """A look linearised at a state."""
+    axes = target.axes
+    place = x[:axes] + line.time * x[axes:] if target.is_moving else x
+    T, up, is_known = jnp.eye(3), jnp.zeros(3), jnp.asarray(True)
+    if target.on_terrain:
+        place, T, up, is_known = _on_surface(place, line.point[2], world)
+    if target.is_moving:
+        T = jnp.concatenate([T, line.time * T], axis=1)
+    ahead = dot(line.heading, place - line.point)
+    foot = line.point + line.heading * ahead + 0.5 * line.bend * ahead**2
+    across = _across(line.heading + line.bend * ahead)
+    G = across @ (jnp.outer(up, line.ground) - line.shift - line.slope * ahead)
+    return Measured(across @ (place - foot), across @ T, G, place, T, up, line.distance + ahead, is_known)
+
+
+def _on_surface(horizontal: Any, start: Scalar, world: World) -> tuple[Any, Any, Any, Flag]:
+    """(point of the ground in the frame, its derivative (3, 2) by the horizontal place, and (3,) by a rise of the
+    ground; whether the ground is known)."""
+    assert world.terrain is not None
+    terrain = world.terrain
+
+    def above(place: Vector3) -> tuple[Scalar, Flag]:
+        return terrain.ground_above(world.origin + world.R_ecef_from_track @ place)
+
+    place = jnp.concatenate([horizontal, start[None]])
+    for _ in range(SURFACE_STEPS):
+        place = place.at[2].add(above(place)[0])
+    gradient, is_known = jax.grad(above, has_aux=True)(place)
+    is_known = is_known & (gradient[2] < 0.0)
+    down = jnp.where(is_known, -gradient[2], 1.0)
+    slope = jnp.where(is_known, gradient[:2], 0.0) / down
+    return place, jnp.concatenate([jnp.eye(2), slope[None]]), jnp.array([0.0, 0.0, 1.0]) / down, is_known
+
+
+def _across(heading: Vector3) -> Float[Array, "2 3"]:
+    """Unit vectors across a line of sight: to the right, level, and upwards; east and north if it looks straight down.
+    """
+    d = heading / safe_norm(heading)
+    level = jnp.stack([d[1], -d[0], jnp.zeros(())])
+    plumb = dot(level, level) < 1e-12
+    level = jnp.where(plumb, jnp.array([1.0, 0.0, 0.0]), level)
+    right = level / safe_norm(level)
+    return jnp.stack([right, jnp.cross(right, d)])
+
+
+def _equations(measured: Measured, line: Lines, mode: Mode, layout: _Layout) -> tuple[Any, Any, tuple[Any, Any]]:
+    """(A of -b = A ds + noise; W with W' W the inverse covariance of the noise; derivatives of the noise (2, z) and of
+    the height of the ground (z,) by the numbers that are fresh)."""
+    noise, ground = (_fresh(of_z, mode, layout) for of_z in (measured.G, line.ground))
+    _, constant, fading = layout.split(measured.G)
+    A = jnp.concatenate([mode.shared * fading, measured.H, mode.shared * constant], axis=1)
+    floor = FLOOR * 0.5 * jnp.sum(measured.G**2) + LEAST**2
+    lower = jnp.linalg.cholesky(noise @ noise.T + floor * jnp.eye(2))
+    W = jax.scipy.linalg.solve_triangular(lower, jnp.eye(2), lower=True)
+    return A, W, (noise, ground)
+
+
+def _fresh(of_z: Any, mode: Mode, layout: _Layout) -> Any:
+    """The columns of the numbers that are taken for fresh; zeros in place of the others."""
+    fresh, constant, fading = layout.split(of_z)
+    return jnp.concatenate([mode.fresh * fresh, (1.0 - mode.shared) * constant, (1.0 - mode.shared) * fading], axis=-1)
+
+
+def _qr_step(carry: Carry, stays: Any, new: Any, A: Any, right: Any) -> tuple[Any, Any]:
+    """R and y after the fading numbers have changed and a look was added."""
+    fading, size = stays.shape[0], carry.y.shape[0]
+    rows = jnp.zeros((fading + size + 2, fading + size + 1))
+    rows = rows.at[:fading, :fading].set(jnp.diag(-stays / new)).at[:fading, fading : 2 * fading].set(jnp.diag(1 / new))
+    rows = rows.at[fading : fading + 2, fading:-1].set(A).at[fading : fading + 2, -1].set(right)
+    old = jnp.concatenate([carry.R, carry.y[:, None]], axis=1)
+    rows = rows.at[fading + 2 :, :fading].set(old[:, :fading]).at[fading + 2 :, 2 * fading :].set(old[:, fading:])
+    reduced = jnp.linalg.qr(rows, mode="r")[fading : fading + size, fading:]
+    return reduced[:, :-1], reduced[:, -1]
+
+
+def _innovation(residual: Any, inverse: Any, distance: Scalar) -> tuple[Any, Any]:
+    """(which of two directions are determined, standardised innovation) from the inverse innovation covariance."""
+    values, vectors = jnp.linalg.eigh(0.5 * (inverse + inverse.T))
+    determined = values * (UNDETERMINED * distance) ** 2 > 1.0
+    roots = jnp.sqrt(jnp.where(determined, values, 0.0))
+    return determined, vectors @ (roots * (vectors.T @ residual))
+
+
+def _velocity(now: Measured, s: Any, R: Any, layout: _Layout) -> tuple[Any, Any]:
+    """(velocity in the frame, m/s; its covariance)."""
+    if not layout.target.is_moving:
+        return jnp.zeros(3), jnp.zeros((3, 3))
+    axes = layout.target.axes
+    T = now.T[:, :axes]
+    first = layout.unknowns.start + axes
+    M = jnp.zeros((3, s.shape[0])).at[:, first : first + axes].set(T)
+    spread = jax.scipy.linalg.solve_triangular(R, M.T, trans="T")
+    return T @ s[first : first + axes], spread.T @ spread
+
+
+def _actual(
+    carry: Carry,
+    line: Lines,
+    measured: Measured,
+    weight: Any,
+    W: Any,
+    stays: Any,
+    use: Any,
+    layout: _Layout,
+    R: Any,
+) -> tuple[tuple[Any, Any, Any, Any], Matrix3]:
+    """(sums of the filter that takes all errors for fresh; actual covariance of its position).
+
+    Its estimate errs by P times the sum of H' W' W G z over the looks, where P is the covariance that it claims.
+    """
+    V = use * measured.H.T @ (W.T @ W)
+    fresh, constant, fading = (V @ part for part in layout.split(measured.G))
+    before = carry.fading_cross * stays
+    fresh_sum = carry.fresh_sum + fresh @ fresh.T
+    constant_sum = carry.constant_sum + constant
+    fading_sum = carry.fading_sum + fading @ fading.T + fading @ before.T + before @ fading.T
+    cross = before + fading
+
+    unit = jnp.eye(R.shape[0])[:, layout.unknowns]
+    spread = jax.scipy.linalg.solve_triangular(R, unit, trans="T")
+    by_sum = (measured.T - jnp.outer(measured.up, weight @ measured.H)) @ (spread.T @ spread)
+    now, always, faded = layout.split(weight @ measured.G - line.ground)
+    up = measured.up
+    common = by_sum @ constant_sum + jnp.outer(up, always)
+    mixed = jnp.outer(by_sum @ (cross @ faded + fresh @ now), up)
+    own = jnp.outer(up, up) * (faded @ faded + now @ now)
+    cov = common @ common.T + by_sum @ (fresh_sum + fading_sum) @ by_sum.T + mixed + mixed.T + own
+    return (fresh_sum, constant_sum, fading_sum, cross), cov
