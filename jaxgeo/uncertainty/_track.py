@@ -98,7 +98,7 @@ def track(
     """
     several = checked_looks(looks)
     check_is(target, AbstractTarget, "target", "AtRest() and ConstantVelocity() are targets.")
-    shared = _checked_errors(several, terrain, errors, target)
+    shared = checked_errors(several, terrain, errors, target)
     lines, starts = _lines(several, terrain, shared, target)
     sensor, look, order = _in_order(lines)
     status, times = (np.concatenate([np.asarray(x) for x in part])[order] for part in zip(*starts, strict=True))
@@ -124,7 +124,7 @@ def track(
     )
 
 
-def _checked_errors(
+def checked_errors(
     several: tuple[Looks, ...], terrain: AbstractTerrain | None, errors: Any, target: AbstractTarget
 ) -> SharedErrors:
     """The errors of all looks; checked against the first look of each sensor."""
@@ -177,7 +177,7 @@ def _lines(
     if target.on_terrain:
         lines = [lines_of(looks, ground, model, columns, None) for looks, model, columns in each]
     else:
-        places = _nearest_places([origins_of(looks, ground) for looks in several], target)
+        places = _nearest_places([origins_of(looks, ground) for looks in several])
         lines = [
             lines_of(looks, ground, model, columns, place)._replace(ground=np.zeros((len(looks), columns.shape[1])))
             for (looks, model, columns), place in zip(each, places, strict=True)
@@ -185,28 +185,25 @@ def _lines(
     return lines, [(one.status, one.time) for one in lines]
 
 
-def _nearest_places(origins: list[Any], target: AbstractTarget) -> list[np.ndarray]:
-    """The place of the target at each look in ECEF m (n, 3), for each sensor, nearest to all lines of sight."""
+def _nearest_places(origins: list[Any]) -> list[np.ndarray]:
+    """The point nearest to all lines of sight in ECEF m, for each look (n, 3) of each sensor.
+
+    Also of a moving target: a velocity as a further unknown would be fitted by a target that moves with the camera.
+    """
     counts = [len(one.time) for one in origins]
     whole = jax.tree.map(lambda *x: np.concatenate(x), *origins)
     seen = np.asarray(whole.status) == Status.hit
     if not seen.any():
         return [np.zeros((count, 3)) for count in counts]
-    reference, first = whole.origin[seen][0], whole.time[seen].min()
-    since = np.where(seen, whole.time - first, 0.0)
-    T = np.eye(3)[None].repeat(len(since), axis=0)
-    T = np.concatenate([T, since[:, None, None] * T], axis=2) if target.is_moving else T
+    reference = whole.origin[seen][0]
     d = np.where(seen[:, None], whole.direction, [1.0, 0.0, 0.0])
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
     away = np.where(seen[:, None], whole.origin - reference, 0.0)
-    rows, right = (across @ T)[seen].reshape(-1, T.shape[2]), (across @ away[:, :, None])[seen].reshape(-1)
-    scale = np.linalg.norm(rows, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    x = np.linalg.lstsq(rows / scale, right, rcond=1e-9)[0] / scale
-    places = reference + T @ x
-    ranges = np.sum(d * (places - reference - away), axis=1)
+    rows, right = across[seen].reshape(-1, 3), (across @ away[:, :, None])[seen].reshape(-1)
+    point = np.linalg.lstsq(rows, right, rcond=1e-9)[0]
+    ranges = np.sum(d * (point - away), axis=1)
     behind = ranges < NEAREST
-    places = np.where(behind[:, None], reference + away + USUAL_RANGE * d, places)
+    places = reference + np.where(behind[:, None], away + USUAL_RANGE * d, point)
     return np.split(places, np.cumsum(counts)[:-1])
 
 

@@ -237,7 +237,8 @@ def _measured(line: Lines, x: Any, world: World, target: AbstractTarget) -> Meas
     place = x[:axes] + line.time * x[axes:] if target.is_moving else x
     T, up, is_known = jnp.eye(3), jnp.zeros(3), jnp.asarray(True)
     if target.on_terrain:
-        place, T, up, is_known = _on_surface(place, line.point[2], world)
+        assert world.terrain is not None
+        place, T, up, is_known = on_surface(place, line.point[2], world.terrain, world)
     if target.is_moving:
         T = jnp.concatenate([T, line.time * T], axis=1)
     ahead = dot(line.heading, place - line.point)
@@ -247,11 +248,9 @@ def _measured(line: Lines, x: Any, world: World, target: AbstractTarget) -> Meas
     return Measured(across @ (place - foot), across @ T, G, place, T, up, line.distance + ahead, is_known)
 
 
-def _on_surface(horizontal: Any, start: Scalar, world: World) -> tuple[Any, Any, Any, Flag]:
+def on_surface(horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World) -> tuple[Any, Any, Any, Flag]:
     """(point of the ground in the frame, its derivative (3, 2) by the horizontal place, and (3,) by a rise of the
     ground; whether the ground is known)."""
-    assert world.terrain is not None
-    terrain = world.terrain
 
     def above(place: Vector3) -> tuple[Scalar, Flag]:
         return terrain.ground_above(world.origin + world.R_ecef_from_track @ place)

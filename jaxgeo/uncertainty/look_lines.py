@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import FIRST_HIT
 from jaxgeo._numerics import dot, safe_norm, tree_where
-from jaxgeo._typing import Matrix3, Scalar, Vector3
+from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.fix import Fix
@@ -22,7 +22,7 @@ from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.host_arrays import concatenate, on_host, take
 from jaxgeo.uncertainty.looks import Looks
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.model_inputs import FARTHER, ModelInputs, NominalFix
+from jaxgeo.uncertainty.model_inputs import FARTHER, ModelInputs, NominalFix, Tangents
 
 SIZES = (16, 128, 1024)  # looks of a block: a program serves all numbers of looks up to its size, or blocks of the last
 SOLVED = 3  # steps to the foot of a point on a refracted ray
@@ -64,8 +64,8 @@ def block_size(count: int) -> int:
 
 def origins_of(looks: Looks, terrain: AbstractTerrain) -> Origins:
     """Straight lines of sight of a sensor's looks, as NumPy arrays."""
-    shared = (looks.sensor, _trajectory(looks), terrain, looks.atmosphere)
-    return _in_blocks(lambda own: _origins(own, shared), _own(looks))
+    shared = shared_arrays(looks, terrain)
+    return in_blocks(lambda own: _origins(own, shared), own_arrays(looks))
 
 
 def lines_of(
@@ -73,20 +73,23 @@ def lines_of(
 ) -> Lines:
     """Lines of sight of a sensor's looks, as NumPy arrays: at their fixes, or at the points `target` (n, 3) in ECEF m
     if given."""
-    shared = (looks.sensor, _trajectory(looks), terrain, looks.atmosphere)
-    return _in_blocks(lambda own: _lines(own, shared, model, jnp.asarray(columns)), (*_own(looks), target))
+    shared = shared_arrays(looks, terrain)
+    return in_blocks(lambda own: _lines(own, shared, model, jnp.asarray(columns)), (*own_arrays(looks), target))
 
 
-def _trajectory(looks: Looks) -> Trajectory | None:
-    return looks.shots if isinstance(looks.shots, Trajectory) else None
+def shared_arrays(looks: Looks, terrain: AbstractTerrain) -> tuple[Any, ...]:
+    """What the looks of a sensor share: sensor, trajectory if there is one, terrain, atmosphere."""
+    trajectory = looks.shots if isinstance(looks.shots, Trajectory) else None
+    return looks.sensor, trajectory, terrain, looks.atmosphere
 
 
-def _own(looks: Looks) -> tuple[Any, Any, Any]:
+def own_arrays(looks: Looks) -> tuple[Any, Any, Any]:
+    """Shots if there is no trajectory, times and pixels (leading axis)."""
     shots = None if isinstance(looks.shots, Trajectory) else looks.shots
     return shots, looks.times, looks.uvs
 
 
-def _in_blocks(function: Any, own: Any) -> Any:
+def in_blocks(function: Any, own: Any) -> Any:
     """The function of items (n, ...) in blocks of few sizes; the last one is padded with the last item."""
     host = on_host(own)
     count = len(host[1])
@@ -98,7 +101,7 @@ def _in_blocks(function: Any, own: Any) -> Any:
 @batch_filter_jit
 def _origins(own: Any, shared: Any) -> Origins:
     def one(own: Any) -> Origins:
-        inputs, time = _inputs(own, shared)
+        inputs, time = inputs_of_look(own, shared)
         ray, status = inputs.sightline()
         return Origins(ray.origin, ray.direction, time, status)
 
@@ -109,7 +112,7 @@ def _origins(own: Any, shared: Any) -> Origins:
 def _lines(own: Any, shared: Any, model: ErrorModel, columns: Float[Array, "axes z"]) -> Lines:
     def one(own: Any) -> Lines:
         *look, target = own
-        inputs, time = _inputs(tuple(look), shared)
+        inputs, time = inputs_of_look(tuple(look), shared)
         if target is None:
             nominal = inputs.nominal_fix(FIRST_HIT)
             status = jnp.asarray(nominal.fix.status)
@@ -120,7 +123,7 @@ def _lines(own: Any, shared: Any, model: ErrorModel, columns: Float[Array, "axes
     return jax.vmap(one)(own)
 
 
-def _inputs(own: Any, shared: Any) -> tuple[ModelInputs, Scalar]:
+def inputs_of_look(own: Any, shared: Any) -> tuple[ModelInputs, Scalar]:
     """(forward-model inputs of a look, time of exposure in s)."""
     (shot, time, uv), (sensor, trajectory, terrain, air) = own, shared
     later = jnp.where(jnp.all(jnp.isfinite(uv)), sensor.camera.time_of(uv), 0.0)
@@ -154,22 +157,36 @@ def _line_at(
     """The line of sight near a nominal fix, with zeros for its derivatives if there is none."""
     usable = status == Status.hit
     ray = tree_where(usable, inputs.ray(), inputs.terrain.safe_ray()).through(inputs.air)
-    bend = jax.jvp(ray.heading_at, (nominal.distance,), (jnp.ones_like(nominal.distance),))[1]
-    swept = model.sweep(inputs, nominal)
-    R: Matrix3 = nominal.R_ecef_from_enu
-    shift, farther = (R @ part @ columns for part in (swept.line, swept.farther))
+    heading, bend = ray.direction, jnp.zeros(3)
+    if inputs.air is not None:
+        along = (nominal.distance,), (jnp.ones_like(nominal.distance),)
+        heading, bend = jax.jvp(ray.heading_at, *along)
+    tangents = model.tangents(inputs, nominal)
+    near, far = (_moved_point(inputs, tangents, nominal.distance + further) for further in (0.0, FARTHER))
+    shift, farther = near @ columns, far @ columns
     found = Lines(
         time,
         nominal.p_ecef,
-        ray.heading_at(nominal.distance),
+        heading,
         bend,
         nominal.distance,
         shift,
         (farther - shift) / FARTHER,
-        swept.ground @ columns,
+        tangents.ground @ columns,
         status,
     )
     sound = usable & jnp.all(jnp.isfinite(shift)) & jnp.all(jnp.isfinite(farther)) & jnp.all(jnp.isfinite(found.ground))
     status = jnp.where(usable & ~sound, Status.invalid_input.code, status)
     numbers = jax.tree.map(lambda x: jnp.where(sound, x, jnp.zeros_like(x)), found._replace(time=time, status=status))
     return numbers._replace(time=time, status=status)
+
+
+def _moved_point(inputs: ModelInputs, tangents: Tangents, distance: Scalar) -> Float[Array, "3 axes"]:
+    """Derivative by the errors of the point at a distance along the line of sight, ECEF m."""
+    ray = inputs.ray()
+    if inputs.air is None:
+        return tangents.ray.origin + distance * tangents.ray.direction
+    air = jax.tree.map(jnp.asarray, inputs.air)
+    at = lambda ray, air: ray.through(air).at(distance)  # noqa: E731
+    along = lambda one: jax.jvp(at, (ray, air), (one.ray, one.air))[1]  # noqa: E731
+    return jax.vmap(along, in_axes=-1, out_axes=-1)(tangents)
