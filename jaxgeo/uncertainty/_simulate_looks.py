@@ -8,7 +8,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._compile import batch_filter_jit
@@ -43,14 +42,14 @@ class SimulatedLooks(Record):
 
 
 def simulate_looks(
-    looks: Looks | Sequence[Looks],
+    looks: Looks | Sequence[Looks] | Any,
     terrain: AbstractTerrain | None,
     errors: ErrorModel | Any,
     key: Any,
     *,
     position: Geodetic,
-    velocity_enu: ArrayLike = (0.0, 0.0, 0.0),
-    target: AbstractTarget = AT_REST,
+    velocity_enu: Any = (0.0, 0.0, 0.0),
+    target: AbstractTarget | Any = AT_REST,
 ) -> SimulatedLooks:
     """The looks with pixels as they are measured of a target, with errors drawn from the error model.
 
@@ -102,7 +101,7 @@ def simulate_looks(
 def _numbers(counts: tuple[int, int, int], durations: np.ndarray, times: np.ndarray, key: Any) -> np.ndarray:
     """Independent standard normal numbers z of looks in the order of time (n, z)."""
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).reshape(-1))
-    fresh, constant, fading = counts
+    fresh, constant, _ = counts
     drawn = rng.standard_normal((len(times), sum(counts)))
     drawn[:, fresh : fresh + constant] = drawn[0, fresh : fresh + constant]
     for k in range(1, len(times)):

@@ -48,11 +48,11 @@ class Scene(NamedTuple):
 
 
 def track(
-    looks: Looks | Sequence[Looks],
+    looks: Looks | Sequence[Looks] | Any,
     terrain: AbstractTerrain | None,
     errors: ErrorModel | Any,
     *,
-    target: AbstractTarget = AT_REST,
+    target: AbstractTarget | Any = AT_REST,
 ) -> Track:
     """Position and velocity of one target from looks over time, with all that the errors of the looks share.
 
@@ -110,14 +110,20 @@ def track(
     recursive = _run(scene, zero, _mode(rounds=ROUNDS))
     solution = batch.state[-1]
     independent, floor = _run(scene, solution, _mode(shared=0.0)), _run(scene, solution, _mode(fresh=NO_FRESH))
-    last = _states(take(on_host(batch), slice(-1, None)), times[-1:], has_converged)
+    last = jax.tree.map(lambda leaf: leaf[-1:], batch)
     return Track(
-        *(jnp.asarray(x) for x in (times, sensor, look, status)),
-        last[0],
+        times,
+        sensor,
+        look,
+        status,
+        _states(last, times[-1:], has_converged)[0],
         _states(recursive, times),
         _states(independent, times),
-        *(jnp.asarray(x) for x in (independent.actual, floor.cov_enu[-1])),
-        *(jnp.asarray(x) for x in (recursive.innovation, recursive.nis, recursive.degrees)),
+        independent.actual,
+        floor.cov_enu[-1],
+        recursive.innovation,
+        recursive.nis,
+        recursive.degrees,
         target,
         rounds,
         ErrorModel(tuple(s for model in shared.models for s in model.sources)).left_out,
@@ -218,7 +224,7 @@ def _in_order(lines: list[Lines]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _check_enough(status: np.ndarray, times: np.ndarray, target: AbstractTarget) -> None:
     """Raise `ValueError` for fewer usable looks than the unknowns need."""
     used = status == Status.hit
-    needed, count = target.unknowns // 2, np.count_nonzero(used)
+    needed, count = -(-target.unknowns // 2), np.count_nonzero(used)
     lost = ", ".join(f"{number} {code.name}" for code, number in count_statuses(status[~used]).items())
     of_all = f" of {len(status)} looks; the others: {lost}" if lost else ""
     if count < needed:
@@ -305,10 +311,10 @@ def _states(after: AfterLook, times: np.ndarray, has_converged: bool = True) -> 
     status = np.where(is_far, Status.weak_intersection, status).astype(np.int8)
     ok = status == Status.hit
     numbers = (after.position, after.p_ecef, after.cov_enu)
-    position, p_ecef, cov_enu = jax.tree.map(lambda x: jnp.asarray(_known(x, ok)), numbers)
-    moves = ok & (np.sqrt(np.maximum(np.trace(after.velocity_cov_enu, axis1=1, axis2=2), 0.0)) < 0.01 * FAST)
-    velocity, velocity_cov = (jnp.asarray(_known(x, moves)) for x in (after.velocity_enu, after.velocity_cov_enu))
-    return TargetState(jnp.asarray(times), position, p_ecef, cov_enu, velocity, velocity_cov, jnp.asarray(status))
+    position, p_ecef, cov_enu = jax.tree.map(lambda x: _known(x, ok), numbers)
+    moves = ok & (np.sqrt(np.maximum(np.trace(after.velocity_cov_enu, axis1=1, axis2=2), 0.0)) < 1e-3 * FAST)
+    velocity, velocity_cov = (_known(x, moves) for x in (after.velocity_enu, after.velocity_cov_enu))
+    return TargetState(times, position, p_ecef, cov_enu, velocity, velocity_cov, status)
 
 
 def _known(numbers: Any, ok: np.ndarray) -> np.ndarray:

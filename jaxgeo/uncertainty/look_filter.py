@@ -1,10 +1,10 @@
 """Recursive least squares over looks: a square-root information filter with shared errors as states.
 
-The state is s = (fading numbers, position and velocity at the first look, constant numbers), in the frame of the track.
-A look measures the two components of the target's distance from the line of sight across it. With the line perturbed by
-the numbers z of `SharedErrors`, 0 = b + H dx + G z; the fresh part of G z is its noise. The filter carries R s = y with R
-triangular, updated by a QR decomposition (Bierman 1977, "Factorization methods for discrete sequential estimation").
-Without a linearisation of its own at each look, it solves the normal equations of all looks.
+The state is s = (fading numbers, position and velocity at the first look, constant numbers), in the frame of the
+track. A look measures the two components of the target's distance from the line of sight across it. With the line
+perturbed by the numbers z of `SharedErrors`, 0 = b + H dx + G z; the fresh part of G z is its noise. The filter carries
+R s = y with R triangular, updated by a QR decomposition (Bierman 1977, "Factorization methods for discrete sequential
+estimation"). Without a linearisation of its own at each look, it solves the normal equations of all looks.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from jaxgeo.uncertainty.target_motion import AbstractTarget
 
 FLOOR = 1e-14  # of the total variance of a look: least variance of its fresh errors, for models without any
 LEAST = 1e-6  # m: least standard deviation of a look
-FAR, FAST = 1e7, 1e5  # m, m/s: standard deviations of position and velocity before the first look
+FAR, FAST = 1e8, 1e7  # m, m/s: standard deviations of position and velocity before the first look
 AT_ONCE = 1e-7  # least standard deviation of the change of a fading number
 SURFACE_STEPS = 4  # to the ground at a horizontal place in the tangent plane
-UNDETERMINED = 0.1  # of the range: standard deviation of an innovation or position that is not determined
+UNDETERMINED = 0.1  # of the range: standard deviation of a position that is not determined
+EXACT = 1e-12  # share of the variance of an innovation that is the look's own, below which rounding decides
 
 
 class World(NamedTuple):
@@ -191,9 +192,11 @@ def _step(
 
     # Innovation.
     within = jax.scipy.linalg.solve_triangular(R, (W @ A).T, trans="T")
-    inverse = W.T @ (jnp.eye(2) - use * within.T @ within) @ W
+    own = jnp.eye(2) - use * within.T @ within
+    inverse = W.T @ own @ W
     determined, innovation = _innovation(right - A @ predicted, inverse, line.distance)
-    innovation = jnp.where(used, innovation, 0.0)
+    determined &= jnp.trace(own) > EXACT
+    innovation = jnp.where(used & determined.any(), innovation, 0.0)
     degrees = jnp.where(used, jnp.sum(determined), 0)
 
     # Position: also of the ground as it is known from the fresh errors of this look.
@@ -266,8 +269,7 @@ def on_surface(horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: 
 
 
 def _across(heading: Vector3) -> Float[Array, "2 3"]:
-    """Unit vectors across a line of sight: to the right, level, and upwards; east and north if it looks straight down.
-    """
+    """Unit vectors across a line of sight: to the right, level, and upwards; for a plumb line two level ones."""
     d = heading / safe_norm(heading)
     level = jnp.stack([d[1], -d[0], jnp.zeros(())])
     plumb = dot(level, level) < 1e-12
@@ -309,7 +311,7 @@ def _qr_step(carry: Carry, stays: Any, new: Any, A: Any, right: Any) -> tuple[An
 def _innovation(residual: Any, inverse: Any, distance: Scalar) -> tuple[Any, Any]:
     """(which of two directions are determined, standardised innovation) from the inverse innovation covariance."""
     values, vectors = jnp.linalg.eigh(0.5 * (inverse + inverse.T))
-    determined = values * (UNDETERMINED * distance) ** 2 > 1.0
+    determined = values * distance**2 > 1.0
     roots = jnp.sqrt(jnp.where(determined, values, 0.0))
     return determined, vectors @ (roots * (vectors.T @ residual))
 
@@ -343,7 +345,7 @@ def _actual(
     """
     V = use * measured.H.T @ (W.T @ W)
     fresh, constant, fading = (V @ part for part in layout.split(measured.G))
-    before = carry.fading_cross * stays
+    before = carry.fading_cross * stays[None, :]
     fresh_sum = carry.fresh_sum + fresh @ fresh.T
     constant_sum = carry.constant_sum + constant
     fading_sum = carry.fading_sum + fading @ fading.T + fading @ before.T + before @ fading.T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import jax
 import numpy as np
@@ -10,18 +10,12 @@ import numpy as np
 from jaxgeo._arguments import check_latitude, checked_air
 from jaxgeo._checks import as_array, as_float64, check_is, require_x64
 from jaxgeo._record import Record
-from jaxgeo._typing import PixelField, ScalarField
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 
-if TYPE_CHECKING:
-    Motion: TypeAlias = Any
-else:
-    Motion: TypeAlias = Shot | Trajectory | list | tuple
-
 
 class Looks(Record):
-    """Looks of one sensor on one flight: the pixel `uvs` (looks, 2) = (column, row) of the target in each image.
+    """Looks of one sensor on one flight: the pixels `uvs` (looks, 2) = (column, row) of the target in its images.
 
     `shots` is a `Shot` with a leading axis (looks,), a list of shots, or a `Trajectory` with the `times` of the images
     in s (looks,). For shots `times` are optional: those of the shots by default. All sensors have one clock. Each look
@@ -33,9 +27,9 @@ class Looks(Record):
     """
 
     sensor: Sensor
-    shots: Motion
-    uvs: PixelField
-    times: ScalarField | None = None
+    shots: Shot | Trajectory | Any
+    uvs: Any
+    times: Any = None
     errors: Any = None
     atmosphere: Atmosphere | None = None
 

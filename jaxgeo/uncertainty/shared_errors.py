@@ -1,7 +1,7 @@
-"""Error sources of many looks as independent standard normal numbers: fresh for each look, constant, or fading in time.
+"""Error sources of many looks as independent standard normal numbers: fresh in each look, constant, or fading in time.
 
-An error e of a look is C z. Numbers z that are fresh are drawn anew for each look. Constant ones are those of a flight or
-of all flights. Fading ones are first-order Gauss-Markov processes: z' = r z + sqrt(1 - r^2) w, r = exp(-dt/T). The
+An error e of a look is C z. Numbers z that are fresh are drawn anew for each look. Constant ones are those of a flight
+or of all flights. Fading ones are first-order Gauss-Markov processes: z' = r z + sqrt(1 - r^2) w, r = exp(-dt/T). The
 correlation A [alpha + (1 - alpha) exp(-dt/T)] of `TimeCorrelated` is the sum of all three, with the shares 1 - A,
 A alpha and A (1 - alpha).
 """

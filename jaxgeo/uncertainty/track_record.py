@@ -6,18 +6,16 @@ import math
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 import scipy  # submodules load lazily, when first used
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
 
 from jaxgeo._record import Record
-from jaxgeo._typing import Matrix3Field, ScalarField, StatusField, Vector3Field
+from jaxgeo._typing import IndexField, Matrix3Field, PixelField, ScalarField, StatusField, Vector3Field
 from jaxgeo.earth import Geodetic
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.uncertainty._figures import figure
-from jaxgeo.uncertainty.host_arrays import take
 from jaxgeo.uncertainty.look_lines import block_size
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 from jaxgeo.uncertainty.target_motion import AbstractTarget
@@ -47,7 +45,7 @@ class TargetState(Record):
     @property
     def ok(self) -> Any:
         """Whether the status is `hit`."""
-        return jnp.asarray(np.asarray(self.status) == Status.hit)
+        return np.asarray(self.status) == Status.hit
 
     @property
     def ce90(self) -> Any:
@@ -75,7 +73,7 @@ class TargetState(Record):
         """One or several of many."""
         if not np.ndim(self.status):
             raise IndexError("this is one state; there is nothing to index.")
-        return take(self, index)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[index], self)
 
     def __len__(self) -> int:
         if not np.ndim(self.status):
@@ -120,18 +118,18 @@ class Track(Record):
     - `note`: what linear propagation leaves out of errors that are not normal.
     """
 
-    times: Float[Array, " looks"]
-    sensor: Int[Array, " looks"]
-    look: Int[Array, " looks"]
+    times: ScalarField
+    sensor: IndexField
+    look: IndexField
     status: StatusField
     batch: TargetState
     filtered: TargetState
     independent: TargetState
-    actual_enu: Float[Array, "looks 3 3"]
+    actual_enu: Matrix3Field
     floor_enu: Matrix3Field
-    innovations: Float[Array, "looks 2"]
-    nis: Float[Array, " looks"]
-    degrees: Int[Array, " looks"]
+    innovations: PixelField
+    nis: ScalarField
+    degrees: IndexField
     target: AbstractTarget
     rounds: int = eqx.field(static=True, default=0)
     note: str | None = eqx.field(static=True, default=None)
@@ -139,7 +137,7 @@ class Track(Record):
     @property
     def used(self) -> Any:
         """Whether each look is used."""
-        return jnp.asarray(np.asarray(self.status) == Status.hit)
+        return np.asarray(self.status) == Status.hit
 
     @property
     def overconfidence(self) -> Any:
@@ -186,9 +184,10 @@ class Track(Record):
         count = np.count_nonzero(used)
         sensors = len(np.unique(np.asarray(self.sensor)))
         span = float(np.asarray(self.times)[-1] - np.asarray(self.times)[0])
+        last = str(self.batch).rstrip(".")
         lines = [
             f"{self.target.words[0].upper()}{self.target.words[1:]}: {count} looks used of "
-            f"{sensors} sensor{'s' if sensors > 1 else ''} in {figure(span)} s. At the last: {self.batch}."
+            f"{sensors} sensor{'s' if sensors > 1 else ''} in {figure(span)} s. At the last: {last}."
         ]
         if self.note is not None:
             lines.append(self.note)
@@ -198,7 +197,7 @@ class Track(Record):
         first = int(np.argmax(np.asarray(self.filtered.ok)))
         lines.append(
             f"CE90 {figure(self.filtered.ce90[first])} m after look {first}, {figure(self.filtered.ce90[-1])} m after "
-            f"the last; {figure(self.floor_ce90)} m are of errors that looks share."
+            f"the last, and {figure(self.floor_ce90)} m if only the errors that looks share were left."
         )
         lines.append(
             f"A filter of independent looks claims CE90 {figure(self.independent.ce90[-1])} m, and has "
@@ -242,8 +241,8 @@ def _radii(radius: Any, cov_enu: Any, probability: ArrayLike) -> Any:
     """Radii of one or many covariances, padded to few sizes, for which programs are compiled."""
     cov = np.asarray(cov_enu)
     if cov.ndim != 3:
-        return radius(cov, probability, np.zeros(cov.shape[:-1]))
+        return np.asarray(radius(cov, probability, np.zeros(cov.shape[:-1])))
     count = len(cov)
     size = -(-count // block_size(count)) * block_size(count)
     padded = cov[np.minimum(np.arange(size), count - 1)]
-    return jnp.asarray(np.asarray(radius(padded, probability, np.zeros((size, 3))))[:count])
+    return np.asarray(radius(padded, probability, np.zeros((size, 3))))[:count]
