@@ -38,10 +38,11 @@ NEAREST = 1.0  # m from a camera
 
 
 class Scene(NamedTuple):
-    """Lines of sight in the frame of the track, in the order of time, and how to filter them."""
+    """Blocks of lines of sight in the frame of the track, in the order of time, with flags of those that are used; the
+    number of looks, and how to filter them."""
 
-    lines: Lines
-    used: np.ndarray
+    blocks: list[tuple[Lines, Any]]
+    count: int
     world: World
     target: AbstractTarget
     counts: tuple[int, int, int]
@@ -266,7 +267,18 @@ def _scene(
         at_start = np.concatenate([start, rate / max(np.ptp(times), 1.0)])
     else:
         at_start = np.median(points, axis=0)
-    return Scene(local, used, world, target, shared.counts), at_start
+    return Scene(_blocks(local, used), len(used), world, target, shared.counts), at_start
+
+
+def _blocks(lines: Lines, used: np.ndarray) -> list[tuple[Lines, Any]]:
+    """Blocks of looks, the last one padded with looks that are not used."""
+    count, size = len(used), block_size(len(used))
+    found = []
+    for begin in range(0, count, size):
+        index = np.arange(begin, begin + size)
+        within = np.minimum(index, count - 1)
+        found.append((take(lines, within), jnp.asarray(used[within] & (index < count))))
+    return found
 
 
 def _mode(shared: float = 1.0, fresh: float = 1.0, rounds: int = 0) -> Mode:
@@ -275,18 +287,12 @@ def _mode(shared: float = 1.0, fresh: float = 1.0, rounds: int = 0) -> Mode:
 
 def _run(scene: Scene, state: np.ndarray, mode: Mode) -> AfterLook:
     """Estimates after each look as NumPy arrays (n, ...), about one state if the mode says so."""
-    count = len(scene.used)
-    size = block_size(count)
     carry: Carry = start_of(scene.target, scene.counts)
     parts = []
-    for begin in range(0, count, size):
-        index = np.arange(begin, begin + size)
-        lines = take(scene.lines, np.minimum(index, count - 1))
-        used = jnp.asarray(scene.used[np.minimum(index, count - 1)] & (index < count))
-        states = jnp.asarray(np.broadcast_to(state, (size, len(state))))
-        carry, after = filtered(carry, lines, used, states, scene.world, mode, scene.target, scene.counts)
+    for lines, used in scene.blocks:
+        carry, after = filtered(carry, lines, used, state, scene.world, mode, scene.target, scene.counts)
         parts.append(on_host(after))
-    return concatenate(parts, count)
+    return concatenate(parts, scene.count)
 
 
 def _batch(scene: Scene, start: np.ndarray) -> tuple[AfterLook, int, bool]:

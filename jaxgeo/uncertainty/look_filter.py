@@ -48,7 +48,7 @@ class Mode(NamedTuple):
     """How a pass treats the looks.
 
     `shared`: 1 for shared errors as states, 0 to take the errors of all looks for fresh. `fresh` scales the fresh
-    errors. `rounds`: linearisations at each look, about its own estimate; 0 for one about the given states.
+    errors. `rounds`: linearisations at each look, about its own estimate; 0 for one about a given state.
     """
 
     shared: Any
@@ -124,7 +124,7 @@ def filtered(
     carry: Carry,
     lines: Lines,
     used: Any,
-    states: Any,
+    state: Any,
     world: World,
     mode: Mode,
     target: AbstractTarget,
@@ -132,12 +132,11 @@ def filtered(
 ) -> tuple[Carry, AfterLook]:
     """The filter after a block of looks (leading axis), and its estimates after each.
 
-    `states` (looks, unknowns) are those to linearise about if `mode.rounds` is 0; then looks do not depend on each
-    other by their linearisation.
+    With `mode.rounds` 0 all looks are linearised about one `state` (unknowns,).
     """
     layout = _Layout(target, counts)
-    step = lambda carry, look: _step(carry, *look, world, mode, layout)  # noqa: E731
-    return jax.lax.scan(step, carry, (lines, used, states))
+    step = lambda carry, look: _step(carry, *look, state, world, mode, layout)  # noqa: E731
+    return jax.lax.scan(step, carry, (lines, used))
 
 
 class _Layout(NamedTuple):

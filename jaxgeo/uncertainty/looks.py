@@ -27,7 +27,7 @@ class Looks(Record):
     """
 
     sensor: Sensor
-    shots: Shot | Trajectory | Any
+    shots: Any
     uvs: Any
     times: Any = None
     errors: Any = None
