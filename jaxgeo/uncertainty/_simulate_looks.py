@@ -127,7 +127,7 @@ def _seen(own: Any, shared: Any, world: World, start: Any, model: ErrorModel, ta
             since = look[1] + inputs.sensor.camera.time_of(uv) - start[0]
             place = since * start[1:]
             if target.on_terrain:
-                place = on_surface(place[:2], jnp.zeros(()), moved.terrain, world)[0]
+                place, _ = on_surface(place[:2], jnp.zeros(()), moved.terrain, world)
             p_ecef = world.origin + world.R_ecef_from_track @ place
             uv, _, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p_ecef, moved.air)
             uv = uv - off

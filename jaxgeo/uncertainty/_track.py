@@ -18,7 +18,7 @@ from jaxgeo.sensor import Trajectory
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.host_arrays import concatenate, on_host, take
-from jaxgeo.uncertainty.look_filter import FAST, UNDETERMINED, AfterLook, Carry, Mode, World, filtered, start_of
+from jaxgeo.uncertainty.look_filter import FAST, UNDETERMINED, About, AfterLook, Carry, Mode, World, filtered, start_of
 from jaxgeo.uncertainty.look_lines import Lines, block_size, lines_of, origins_of
 from jaxgeo.uncertainty.looks import Looks, checked_looks
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
@@ -30,7 +30,8 @@ from jaxgeo.uncertainty.track_record import TargetState, Track
 
 AT_REST = AtRest()
 ROUNDS = 3  # linearisations of the filter at each look
-MOST_ROUNDS, DAMPED_AFTER = 30, 8  # linearisations of the batch; later steps are halved
+MOST_ROUNDS, DAMPED_AFTER = 40, 8  # linearisations of the batch; later steps are halved every few rounds
+NEAR_ENOUGH = 1e-3  # of the standard deviation: longest last step where the ground has kinks, after damping
 CLOSE_ENOUGH = 1e-7  # m, and of the standard deviation: longest last step
 NO_FRESH = 1e-4  # factor of fresh errors for the floor
 USUAL_RANGE = 1000.0  # m: where lines of sight are parallel
@@ -107,9 +108,8 @@ def track(
     scene, at_start = _scene(lines, order, terrain, shared, target)
 
     batch, rounds, has_converged = _batch(scene, at_start)
-    zero = np.zeros_like(at_start)
-    recursive = _run(scene, zero, _mode(rounds=ROUNDS))
-    solution = batch.state[-1]
+    recursive = _run(scene, About(np.zeros_like(at_start), np.zeros(())), _mode(rounds=ROUNDS))
+    solution = _last(batch)
     independent, floor = _run(scene, solution, _mode(shared=0.0)), _run(scene, solution, _mode(fresh=NO_FRESH))
     last = jax.tree.map(lambda leaf: leaf[-1:], batch)
     return Track(
@@ -285,26 +285,34 @@ def _mode(shared: float = 1.0, fresh: float = 1.0, rounds: int = 0) -> Mode:
     return Mode(jnp.asarray(shared), jnp.asarray(fresh), jnp.asarray(rounds))
 
 
-def _run(scene: Scene, state: np.ndarray, mode: Mode) -> AfterLook:
+def _run(scene: Scene, about: About, mode: Mode) -> AfterLook:
     """Estimates after each look as NumPy arrays (n, ...), about one state if the mode says so."""
     carry: Carry = start_of(scene.target, scene.counts)
     parts = []
     for lines, used in scene.blocks:
-        carry, after = filtered(carry, lines, used, state, scene.world, mode, scene.target, scene.counts)
+        carry, after = filtered(carry, lines, used, about, scene.world, mode, scene.target, scene.counts)
         parts.append(on_host(after))
     return concatenate(parts, scene.count)
 
 
+def _last(found: AfterLook) -> About:
+    """The state after the last look."""
+    return jax.tree.map(lambda leaf: leaf[-1], found.about)
+
+
 def _batch(scene: Scene, start: np.ndarray) -> tuple[AfterLook, int, bool]:
     """(estimates after each look, all linearised at the estimate of all; number of rounds; whether it converged)."""
-    state = start
+    about = About(start, np.zeros(()))
     for number in range(MOST_ROUNDS):
-        found = _run(scene, state, _mode())
-        step = found.state[-1] - state
-        spread = np.sqrt(max(np.trace(found.cov_enu[-1]), 0.0))
-        if np.max(np.abs(step[: scene.target.axes])) <= CLOSE_ENOUGH * (1.0 + spread):
+        found = _run(scene, about, _mode())
+        after = _last(found)
+        step, turned = after.state - about.state, abs(after.reach - about.reach)
+        longest = max(np.max(np.abs(step[: scene.target.axes])), turned)
+        damped = number - DAMPED_AFTER
+        if longest <= max(CLOSE_ENOUGH * (1.0 + after.reach), NEAR_ENOUGH * after.reach if damped >= 0 else 0.0):
             return found, number + 1, True
-        state = state + (step if number < DAMPED_AFTER else 0.5 * step)
+        state = about.state + (step if damped < 0 else 0.5 ** (1 + damped // DAMPED_AFTER) * step)
+        about = About(state, after.reach)
     return found, MOST_ROUNDS, False
 
 

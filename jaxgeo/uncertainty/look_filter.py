@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._compile import batch_filter_jit
-from jaxgeo._numerics import dot, safe_norm
+from jaxgeo._numerics import dot, safe_norm, safe_sqrt, tree_where
 from jaxgeo._typing import Flag, Matrix3, Scalar, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
@@ -30,6 +30,7 @@ FLOOR = 1e-14  # of the total variance of a look: least variance of its fresh er
 LEAST = 1e-6  # m: least standard deviation of a look
 FAR, FAST = 1e8, 1e7  # m, m/s: standard deviations of position and velocity before the first look
 AT_ONCE = 1e-7  # least standard deviation of the change of a fading number
+LEAST_REACH = 0.01  # m: least distance over which the slope of the ground is taken
 SURFACE_STEPS = 4  # to the ground at a horizontal place in the tangent plane
 UNDETERMINED = 0.1  # of the range: standard deviation of a position that is not determined
 EXACT = 1e-12  # share of the variance of an innovation that is the look's own, below which rounding decides
@@ -69,16 +70,23 @@ class Carry(NamedTuple):
     fading_cross: Any
 
 
+class About(NamedTuple):
+    """What a look is linearised about: a `state` (unknowns,), and the standard deviation of its position in m."""
+
+    state: Any
+    reach: Any
+
+
 class AfterLook(NamedTuple):
     """Estimates after each look: position and its covariance in m2, velocity in m/s and its covariance, east, north,
     up at the position.
 
-    `state` (unknowns,) is the estimate in the frame of the track. `actual` is the covariance of the position that the
+    `about` is the estimate in the frame of the track. `actual` is the covariance of the position that the
     error model with shared errors gives to the estimate of this pass. `innovation` (2,) is standardised, `nis` its
     squared length, `degrees` the number of its components that are determined.
     """
 
-    state: Any
+    about: About
     position: Geodetic
     p_ecef: Any
     cov_enu: Any
@@ -115,8 +123,16 @@ def start_of(target: AbstractTarget, counts: tuple[int, int, int]) -> Carry:
     before[target.axes :] = 1.0 / FAST
     size = fading + unknowns + constant
     R = np.diag(np.concatenate([np.ones(fading), before, np.ones(constant)]))
-    sums = (np.zeros((unknowns, unknowns)), np.zeros((unknowns, constant)), np.zeros((unknowns, unknowns)))
-    return Carry(R, np.zeros(size), np.zeros(size), np.array(-np.inf), *sums, np.zeros((unknowns, fading)))
+    return Carry(
+        R,
+        y=np.zeros(size),
+        s=np.zeros(size),
+        time=np.array(-np.inf),
+        fresh_sum=np.zeros((unknowns, unknowns)),
+        constant_sum=np.zeros((unknowns, constant)),
+        fading_sum=np.zeros((unknowns, unknowns)),
+        fading_cross=np.zeros((unknowns, fading)),
+    )
 
 
 @batch_filter_jit
@@ -124,7 +140,7 @@ def filtered(
     carry: Carry,
     lines: Lines,
     used: Any,
-    state: Any,
+    about: About,
     world: World,
     mode: Mode,
     target: AbstractTarget,
@@ -132,10 +148,10 @@ def filtered(
 ) -> tuple[Carry, AfterLook]:
     """The filter after a block of looks (leading axis), and its estimates after each.
 
-    With `mode.rounds` 0 all looks are linearised about one `state` (unknowns,).
+    With `mode.rounds` 0 all looks are linearised `about` one state.
     """
     layout = _Layout(target, counts)
-    step = lambda carry, look: _step(carry, *look, state, world, mode, layout)  # noqa: E731
+    step = lambda carry, look: _step(carry, *look, about, world, mode, layout)  # noqa: E731
     return jax.lax.scan(step, carry, (lines, used))
 
 
@@ -167,7 +183,7 @@ class _Layout(NamedTuple):
 
 
 def _step(
-    carry: Carry, line: Lines, used: Flag, given: Any, world: World, mode: Mode, layout: _Layout
+    carry: Carry, line: Lines, used: Flag, given: About, world: World, mode: Mode, layout: _Layout
 ) -> tuple[Carry, AfterLook]:
     since = line.time - carry.time
     stays = jnp.exp(-since / world.durations)
@@ -176,18 +192,23 @@ def _step(
     predicted = carry.s.at[:fading].multiply(stays)
     use = jnp.where(used, 1.0, 0.0)
 
-    def update(x: Any) -> tuple[Any, ...]:
-        measured = _measured(line, x, world, layout.target)
+    def update(about: About) -> tuple[Any, ...]:
+        x = about.state
+        measured = _measured(line, about, world, layout.target)
         A, W, noise = _equations(measured, line, mode, layout)
         right = -measured.b + measured.H @ x
         R, y = _qr_step(carry, stays, new, use * (W @ A), use * (W @ right))
         s = jax.scipy.linalg.solve_triangular(R, y)
         return R, y, s, measured, A, W, noise, right
 
-    first = jnp.where(mode.rounds > 0, predicted[layout.unknowns], given)
-    again = lambda _, x: update(x)[2][layout.unknowns]  # noqa: E731
-    x = jax.lax.fori_loop(0, mode.rounds - 1, again, first)
-    R, y, s, measured, A, W, (noise_z, noise_ground), right = update(x)
+    def again(_: Any, about: About) -> About:
+        R, _, s, *_ = update(about)
+        return About(s[layout.unknowns], _reach(R, line.time, layout))
+
+    own_start = About(predicted[layout.unknowns], jnp.zeros(()))
+    about = tree_where(mode.rounds > 0, own_start, given)
+    about = jax.lax.fori_loop(0, mode.rounds - 1, again, about)
+    R, y, s, measured, A, W, (noise_z, noise_ground), right = update(about)
 
     # Innovation.
     within = jax.scipy.linalg.solve_triangular(R, (W @ A).T, trans="T")
@@ -199,7 +220,7 @@ def _step(
     degrees = jnp.where(used, jnp.sum(determined), 0)
 
     # Position: also of the ground as it is known from the fresh errors of this look.
-    now = _measured(line, s[layout.unknowns], world, layout.target)
+    now = _measured(line, About(s[layout.unknowns], _reach(R, line.time, layout)), world, layout.target)
     weight = use * (noise_ground @ noise_z.T) @ (W.T @ W)  # of what is left of the look in the fresh height error
     shared = jnp.zeros(s.shape[0]).at[:fading].set(mode.shared * layout.split(line.ground)[2])
     shared = shared.at[layout.unknowns.stop :].set(mode.shared * layout.split(line.ground)[1])
@@ -217,7 +238,7 @@ def _step(
     to_enu = R_ecef_from_enu(position).T @ world.R_ecef_from_track
     turned = lambda cov: to_enu @ cov @ to_enu.T  # noqa: E731
     after = AfterLook(
-        s[layout.unknowns],
+        About(s[layout.unknowns], _reach(R, line.time, layout)),
         position,
         p_ecef,
         turned(cov),
@@ -233,14 +254,24 @@ def _step(
     return Carry(R, y, s, line.time, *sums), after
 
 
-def _measured(line: Lines, x: Any, world: World, target: AbstractTarget) -> Measured:
+def _reach(R: Any, time: Scalar, layout: _Layout) -> Scalar:
+    """Standard deviation in m of the position along a level axis, their mean."""
+    target, first = layout.target, layout.unknowns.start
+    M = jnp.zeros((2, R.shape[0])).at[:, first : first + 2].set(jnp.eye(2))
+    if target.is_moving:
+        M = M.at[:, first + target.axes : first + target.axes + 2].set(time * jnp.eye(2))
+    return safe_sqrt(0.5 * jnp.sum(jax.scipy.linalg.solve_triangular(R, M.T, trans="T") ** 2))
+
+
+def _measured(line: Lines, about: About, world: World, target: AbstractTarget) -> Measured:
     """A look linearised at a state."""
-    axes = target.axes
+    axes, x = target.axes, about.state
     place = x[:axes] + line.time * x[axes:] if target.is_moving else x
     T, up, is_known = jnp.eye(3), jnp.zeros(3), jnp.asarray(True)
     if target.on_terrain:
         assert world.terrain is not None
-        place, T, up, is_known = on_surface(place, line.point[2], world.terrain, world)
+        place, is_known = on_surface(place, line.point[2], world.terrain, world)
+        T, up = _surface_slope(place, about.reach, world.terrain, world), jnp.array([0.0, 0.0, 1.0])
     if target.is_moving:
         T = jnp.concatenate([T, line.time * T], axis=1)
     ahead = dot(line.heading, place - line.point)
@@ -250,21 +281,25 @@ def _measured(line: Lines, x: Any, world: World, target: AbstractTarget) -> Meas
     return Measured(across @ (place - foot), across @ T, G, place, T, up, line.distance + ahead, is_known)
 
 
-def on_surface(horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World) -> tuple[Any, Any, Any, Flag]:
-    """(point of the ground in the frame, its derivative (3, 2) by the horizontal place, and (3,) by a rise of the
-    ground; whether the ground is known)."""
-
-    def above(place: Vector3) -> tuple[Scalar, Flag]:
-        return terrain.ground_above(world.origin + world.R_ecef_from_track @ place)
-
+def on_surface(horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World) -> tuple[Vector3, Flag]:
+    """(point of the ground in the frame, over a place in its level axes; whether the ground is known there)."""
     place = jnp.concatenate([horizontal, start[None]])
+    is_known = jnp.asarray(True)
     for _ in range(SURFACE_STEPS):
-        place = place.at[2].add(above(place)[0])
-    gradient, is_known = jax.grad(above, has_aux=True)(place)
-    is_known = is_known & (gradient[2] < 0.0)
-    down = jnp.where(is_known, -gradient[2], 1.0)
-    slope = jnp.where(is_known, gradient[:2], 0.0) / down
-    return place, jnp.concatenate([jnp.eye(2), slope[None]]), jnp.array([0.0, 0.0, 1.0]) / down, is_known
+        above, is_known = terrain.ground_above(world.origin + world.R_ecef_from_track @ place)
+        place = place.at[2].add(above)
+    return place, is_known
+
+
+def _surface_slope(place: Vector3, reach: Scalar, terrain: AbstractTerrain, world: World) -> Float[Array, "3 2"]:
+    """Derivative of a point of the ground by its level coordinates, over as much ground as the position may err.
+
+    The difference over the standard deviation on either side: the slope that matters for the estimate (statistical
+    linearisation), and a continuous one. The derivative of a bilinear surface jumps at each row of posts.
+    """
+    steps = jnp.maximum(reach, LEAST_REACH) * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    around = jax.vmap(lambda step: on_surface(place[:2] + step, place[2], terrain, world)[0])(steps)
+    return (around[::2] - around[1::2]).T / (2.0 * jnp.maximum(reach, LEAST_REACH))
 
 
 def _across(heading: Vector3) -> Float[Array, "2 3"]:

@@ -104,8 +104,11 @@ def _times(looks: Looks, shots: Shot | Trajectory, count: int, name: str) -> np.
     """Times of the looks in s; raises `ValueError` unless they are finite and do not decrease."""
     if looks.times is None and isinstance(shots, Trajectory):
         raise ValueError(f"{name}.times must give the time of each image on the trajectory, in s.")
-    given = shots.time if looks.times is None else as_float64(as_array(looks.times, f"{name}.times"), f"{name}.times")
-    times = np.asarray(given)
+    if looks.times is None:
+        assert isinstance(shots, Shot)
+        times = np.asarray(shots.time)
+    else:
+        times = np.asarray(as_float64(as_array(looks.times, f"{name}.times"), f"{name}.times"))
     if times.shape != (count,):
         raise ValueError(f"{name}.times must have the shape ({count},), one for each of uvs; got {times.shape}.")
     if not np.isfinite(times).all():

@@ -38,7 +38,7 @@ from jaxgeo.uncertainty import (
     track,
 )
 from jaxgeo.uncertainty.distributions import StudentT
-from jaxgeo.uncertainty.look_filter import Carry, Mode, World, filtered, start_of
+from jaxgeo.uncertainty.look_filter import About, Carry, Mode, World, filtered, start_of
 from jaxgeo.uncertainty.look_lines import SIZES, Lines
 from jaxgeo.uncertainty.shared_errors import shared_errors
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion
@@ -125,7 +125,7 @@ def run(lines: Lines, *, shared: float = 1.0, rounds: int = 3, before: Any = BEF
     padded = jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), lines)
     mode = Mode(*(jnp.asarray(x) for x in (shared, 1.0, rounds)))
     used = jnp.asarray(np.arange(size) < COUNT)
-    _, after = filtered(start._replace(R=R), padded, used, np.zeros(6), WORLD, mode, FREE, COUNTS)
+    _, after = filtered(start._replace(R=R), padded, used, About(np.zeros(6), np.zeros(())), WORLD, mode, FREE, COUNTS)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[:COUNT], after)
 
 
@@ -159,7 +159,7 @@ def test_each_estimate_of_the_filter_is_that_of_least_squares_with_the_joint_cov
     R = np.asarray(WORLD.R_ecef_from_track)
     for number in (0, 1, 4, 5, COUNT - 1):
         x, P = gls(made, number + 1, BEFORE, cov, cov)
-        np.testing.assert_allclose(after.state[number], x, atol=1e-8)
+        np.testing.assert_allclose(after.about.state[number], x, atol=1e-8)
         T = place_at(made, number)
         turn = np.asarray(R_ecef_from_enu(WGS84.to_geodetic(jnp.asarray(after.p_ecef[number])))).T @ R
         np.testing.assert_allclose(after.cov_enu[number], turn @ T @ P @ T.T @ turn.T, rtol=1e-8, atol=1e-9)
@@ -191,11 +191,11 @@ def test_batch_and_filter_are_one_where_all_is_linear() -> None:
     """Nothing is known before: one linearisation for all looks, far off, and one at each look, give the same."""
     made = drawn_lines(seed=4)
     at_once, recursive = run(made.lines, rounds=0, before=None), run(made.lines, rounds=3, before=None)
-    np.testing.assert_allclose(at_once.state[-1], recursive.state[-1], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(at_once.about.state[-1], recursive.about.state[-1], rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(at_once.cov_enu[-1], recursive.cov_enu[-1], rtol=1e-8)
     cov = joint(made)
     x, P = gls(made, COUNT, np.full(6, 1e9), cov, cov)
-    np.testing.assert_allclose(recursive.state[-1], x, rtol=1e-6)
+    np.testing.assert_allclose(recursive.about.state[-1], x, rtol=1e-6)
     np.testing.assert_allclose(recursive.velocity_cov_enu[-1], P[3:, 3:], rtol=1e-4, atol=1e-7)
     assert list(recursive.degrees[:4]) == [0, 0, 0, 2]  # six unknowns
 
@@ -209,7 +209,7 @@ def test_what_a_filter_of_independent_looks_claims_and_has() -> None:
     far = np.full(6, 1e9)
     for number in (4, COUNT - 1):
         (x, claimed), (_, actual) = gls(made, number + 1, far, blocks, blocks), gls(made, number + 1, far, blocks, cov)
-        np.testing.assert_allclose(after.state[number], x, rtol=1e-6)
+        np.testing.assert_allclose(after.about.state[number], x, rtol=1e-6)
         T = place_at(made, number)
         np.testing.assert_allclose(np.trace(after.cov_enu[number]), np.trace(T @ claimed @ T.T), rtol=1e-6)
         np.testing.assert_allclose(np.trace(after.actual[number]), np.trace(T @ actual @ T.T), rtol=1e-6)
