@@ -31,7 +31,7 @@ LEAST = 1e-6  # m: least standard deviation of a look
 FAR, FAST = 1e8, 1e7  # m, m/s: standard deviations of position and velocity before the first look
 AT_ONCE = 1e-7  # least standard deviation of the change of a fading number
 LEAST_REACH = 0.01  # m: least distance over which the slope of the ground is taken
-SURFACE_STEPS = 4  # to the ground at a horizontal place in the tangent plane
+SURFACE_STEPS, STEPS_NEARBY = 3, 2  # to the ground at a place in the level axes, and near one that is on it
 UNDETERMINED = 0.1  # of the range: standard deviation of a position that is not determined
 EXACT = 1e-12  # share of the variance of an innovation that is the look's own, below which rounding decides
 
@@ -101,18 +101,16 @@ class AfterLook(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """A look linearised at a state: `b` (2,), `H` (2, unknowns) and `G` (2, z) of 0 = b + H dx + G z; and the target
-    there, `place` (3,) in m in the frame, with its derivatives `T` (3, unknowns) and `up` (3,) by a rise of the ground.
+    """A look linearised at a state: `b` (2,), `H` (2, unknowns) and `G` (2, z) of 0 = b + H dx + G z; and derivatives
+    of the target's place, `T` (3, unknowns) and `up` (3,) by a rise of the ground; range in m.
     """
 
     b: Any
     H: Any
     G: Any
-    place: Any
     T: Any
     up: Any
     distance: Any
-    is_known: Any
 
 
 def start_of(target: AbstractTarget, counts: tuple[int, int, int]) -> Carry:
@@ -220,7 +218,8 @@ def _step(
     degrees = jnp.where(used, jnp.sum(determined), 0)
 
     # Position: also of the ground as it is known from the fresh errors of this look.
-    now = _measured(line, About(s[layout.unknowns], _reach(R, line.time, layout)), world, layout.target)
+    reach = _reach(R, line.time, layout)
+    place, is_known = _place(line, s[layout.unknowns], world, layout.target)
     weight = use * (noise_ground @ noise_z.T) @ (W.T @ W)  # of what is left of the look in the fresh height error
     shared = jnp.zeros(s.shape[0]).at[:fading].set(mode.shared * layout.split(line.ground)[2])
     shared = shared.at[layout.unknowns.stop :].set(mode.shared * layout.split(line.ground)[1])
@@ -230,15 +229,15 @@ def _step(
     left = jnp.maximum(noise_ground @ noise_ground - weight @ (noise_z @ noise_ground), 0.0)
     cov = spread.T @ spread + jnp.outer(measured.up, measured.up) * left
     rise = shared @ s + weight @ (right - A @ s)
-    p_ecef = world.origin + world.R_ecef_from_track @ (now.place + now.up * rise)
+    p_ecef = world.origin + world.R_ecef_from_track @ (place + measured.up * rise)
 
     sums, actual = _actual(carry, line, measured, weight, W, stays, use, layout, R)
-    velocity, V = _velocity(now, s, R, layout)
+    velocity, V = _velocity(measured, s, R, layout)
     position = WGS84.to_geodetic(p_ecef)
     to_enu = R_ecef_from_enu(position).T @ world.R_ecef_from_track
     turned = lambda cov: to_enu @ cov @ to_enu.T  # noqa: E731
     after = AfterLook(
-        About(s[layout.unknowns], _reach(R, line.time, layout)),
+        About(s[layout.unknowns], reach),
         position,
         p_ecef,
         turned(cov),
@@ -248,8 +247,8 @@ def _step(
         innovation,
         dot(innovation, innovation),
         degrees,
-        now.distance,
-        now.is_known,
+        measured.distance,
+        is_known,
     )
     return Carry(R, y, s, line.time, *sums), after
 
@@ -265,12 +264,10 @@ def _reach(R: Any, time: Scalar, layout: _Layout) -> Scalar:
 
 def _measured(line: Lines, about: About, world: World, target: AbstractTarget) -> Measured:
     """A look linearised at a state."""
-    axes, x = target.axes, about.state
-    place = x[:axes] + line.time * x[axes:] if target.is_moving else x
-    T, up, is_known = jnp.eye(3), jnp.zeros(3), jnp.asarray(True)
+    place, _ = _place(line, about.state, world, target)
+    T, up = jnp.eye(3), jnp.zeros(3)
     if target.on_terrain:
         assert world.terrain is not None
-        place, is_known = on_surface(place, line.point[2], world.terrain, world)
         T, up = _surface_slope(place, about.reach, world.terrain, world), jnp.array([0.0, 0.0, 1.0])
     if target.is_moving:
         T = jnp.concatenate([T, line.time * T], axis=1)
@@ -278,14 +275,26 @@ def _measured(line: Lines, about: About, world: World, target: AbstractTarget) -
     foot = line.point + line.heading * ahead + 0.5 * line.bend * ahead**2
     across = _across(line.heading + line.bend * ahead)
     G = across @ (jnp.outer(up, line.ground) - line.shift - line.slope * ahead)
-    return Measured(across @ (place - foot), across @ T, G, place, T, up, line.distance + ahead, is_known)
+    return Measured(across @ (place - foot), across @ T, G, T, up, line.distance + ahead)
 
 
-def on_surface(horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World) -> tuple[Vector3, Flag]:
+def _place(line: Lines, x: Any, world: World, target: AbstractTarget) -> tuple[Vector3, Flag]:
+    """(place of the target at a look in the frame, m; whether the ground is known there)."""
+    axes = target.axes
+    place = x[:axes] + line.time * x[axes:] if target.is_moving else x
+    if not target.on_terrain:
+        return place, jnp.asarray(True)
+    assert world.terrain is not None
+    return on_surface(place, line.point[2], world.terrain, world)
+
+
+def on_surface(
+    horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World, steps: int = SURFACE_STEPS
+) -> tuple[Vector3, Flag]:
     """(point of the ground in the frame, over a place in its level axes; whether the ground is known there)."""
     place = jnp.concatenate([horizontal, start[None]])
     is_known = jnp.asarray(True)
-    for _ in range(SURFACE_STEPS):
+    for _ in range(steps):
         above, is_known = terrain.ground_above(world.origin + world.R_ecef_from_track @ place)
         place = place.at[2].add(above)
     return place, is_known
@@ -298,7 +307,7 @@ def _surface_slope(place: Vector3, reach: Scalar, terrain: AbstractTerrain, worl
     linearisation), and a continuous one. The derivative of a bilinear surface jumps at each row of posts.
     """
     steps = jnp.maximum(reach, LEAST_REACH) * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    around = jax.vmap(lambda step: on_surface(place[:2] + step, place[2], terrain, world)[0])(steps)
+    around = jax.vmap(lambda step: on_surface(place[:2] + step, place[2], terrain, world, STEPS_NEARBY)[0])(steps)
     return (around[::2] - around[1::2]).T / (2.0 * jnp.maximum(reach, LEAST_REACH))
 
 
@@ -350,12 +359,12 @@ def _innovation(residual: Any, inverse: Any, distance: Scalar) -> tuple[Any, Any
     return determined, vectors @ (roots * (vectors.T @ residual))
 
 
-def _velocity(now: Measured, s: Any, R: Any, layout: _Layout) -> tuple[Any, Any]:
+def _velocity(measured: Measured, s: Any, R: Any, layout: _Layout) -> tuple[Any, Any]:
     """(velocity in the frame, m/s; its covariance)."""
     if not layout.target.is_moving:
         return jnp.zeros(3), jnp.zeros((3, 3))
     axes = layout.target.axes
-    T = now.T[:, :axes]
+    T = measured.T[:, :axes]
     first = layout.unknowns.start + axes
     M = jnp.zeros((3, s.shape[0])).at[:, first : first + axes].set(T)
     spread = jax.scipy.linalg.solve_triangular(R, M.T, trans="T")

@@ -40,6 +40,7 @@ from jaxgeo.uncertainty import (
 from jaxgeo.uncertainty.distributions import StudentT
 from jaxgeo.uncertainty.look_filter import About, Carry, Mode, World, filtered, start_of
 from jaxgeo.uncertainty.look_lines import SIZES, Lines
+from jaxgeo.uncertainty.looks import checked_looks
 from jaxgeo.uncertainty.shared_errors import shared_errors
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion
 from jaxgeo.uncertainty.track_record import TargetState
@@ -321,7 +322,7 @@ def nees_of(state: TargetState, p_ecef: Any, cov_enu: Any = None) -> float:
 def test_errors_of_simulated_runs_are_as_large_as_stated(target, velocity) -> None:
     """NEES and NIS of 500 runs are within the 95 % bounds of chi-square for batch and filter; those of the filter of
     independent looks are far above, unless its actual covariance is used."""
-    looks, model = looks_from(np.linspace(-40.0, 40.0, 12)), error_model()
+    looks, model = checked_looks(looks_from(np.linspace(-40.0, 40.0, 12))), error_model()
     rows = []
     for number in range(RUNS):
         key = jax.random.key(number)
