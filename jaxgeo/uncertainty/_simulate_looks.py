@@ -68,6 +68,8 @@ def simulate_looks(
     >>> errors = sources.PixelMeasurement.from_pixels(column=1.0, row=1.0)
     >>> made = simulate_looks(looks, jaxgeo.ConstantHeight(600.0), errors, jax.random.key(0), position=place)
     >>> print(np.round(made.looks[0].uvs, 1))
+    [[1999.4 1088.3]
+     [1998.9 1088. ]]
     """
     several = checked_looks(looks)
     check_is(target, AbstractTarget, "target", "AtRest() and ConstantVelocity() are targets.")
