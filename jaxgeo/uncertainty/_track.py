@@ -19,7 +19,7 @@ from jaxgeo.status import Status, count_statuses
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.host_arrays import concatenate, on_host, take
 from jaxgeo.uncertainty.look_filter import FAST, UNDETERMINED, About, AfterLook, Carry, Mode, World, filtered, start_of
-from jaxgeo.uncertainty.look_lines import Lines, block_size, lines_of, origins_of
+from jaxgeo.uncertainty.look_lines import Lines, block_size, fixes_of, lines_of, origins_of
 from jaxgeo.uncertainty.looks import Looks, checked_looks
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, of_arrays
@@ -180,15 +180,20 @@ def _lines(
 ) -> tuple[list[Lines], list[tuple[Any, Any]]]:
     """(lines of sight of each sensor; their statuses and times)."""
     ground = of_arrays(terrain if terrain is not None and target.on_terrain else ConstantHeight(0.0))
-    each = list(zip(several, shared.models, shared.columns, strict=True))
     if target.on_terrain:
-        lines = [lines_of(looks, ground, model, columns, None) for looks, model, columns in each]
+        fixes = [fixes_of(looks, ground) for looks in several]
+        places = [place for place, _ in fixes]
     else:
         places = _nearest_places([origins_of(looks, ground) for looks in several])
-        lines = [
-            lines_of(looks, ground, model, columns, place)._replace(ground=np.zeros((len(looks), columns.shape[1])))
-            for (looks, model, columns), place in zip(each, places, strict=True)
-        ]
+    lines = []
+    for number, (looks, model, columns) in enumerate(zip(several, shared.models, shared.columns, strict=True)):
+        found = lines_of(looks, ground, model, columns, places[number])
+        if target.on_terrain:
+            status = fixes[number][1]
+            found = found._replace(status=np.where(status == Status.hit, found.status, status))
+        else:
+            found = found._replace(ground=np.zeros_like(found.ground))
+        lines.append(found)
     return lines, [(one.status, one.time) for one in lines]
 
 

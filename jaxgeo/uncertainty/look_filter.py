@@ -199,14 +199,15 @@ def _step(
         s = jax.scipy.linalg.solve_triangular(R, y)
         return R, y, s, measured, A, W, noise, right
 
-    def again(_: Any, about: About) -> About:
-        R, _, s, *_ = update(about)
-        return About(s[layout.unknowns], _reach(R, line.time, layout))
+    def again(_: Any, before: tuple[About, Any]) -> tuple[About, Any]:
+        R, y, s, *rest = update(before[0])
+        return About(s[layout.unknowns], _reach(R, line.time, layout)), (R, y, s, *rest)
 
     own_start = About(predicted[layout.unknowns], jnp.zeros(()))
     about = tree_where(mode.rounds > 0, own_start, given)
-    about = jax.lax.fori_loop(0, mode.rounds - 1, again, about)
-    R, y, s, measured, A, W, (noise_z, noise_ground), right = update(about)
+    empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(update, about))
+    about, updated = jax.lax.fori_loop(0, jnp.maximum(mode.rounds, 1), again, (about, empty))
+    R, y, s, measured, A, W, (noise_z, noise_ground), right = updated
 
     # Innovation.
     within = jax.scipy.linalg.solve_triangular(R, (W @ A).T, trans="T")
@@ -218,7 +219,7 @@ def _step(
     degrees = jnp.where(used, jnp.sum(determined), 0)
 
     # Position: also of the ground as it is known from the fresh errors of this look.
-    reach = _reach(R, line.time, layout)
+    reach = about.reach
     place, is_known = _place(line, s[layout.unknowns], world, layout.target)
     weight = use * (noise_ground @ noise_z.T) @ (W.T @ W)  # of what is left of the look in the fresh height error
     shared = jnp.zeros(s.shape[0]).at[:fading].set(mode.shared * layout.split(line.ground)[2])
@@ -292,12 +293,14 @@ def on_surface(
     horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World, steps: int = SURFACE_STEPS
 ) -> tuple[Vector3, Flag]:
     """(point of the ground in the frame, over a place in its level axes; whether the ground is known there)."""
-    place = jnp.concatenate([horizontal, start[None]])
-    is_known = jnp.asarray(True)
-    for _ in range(steps):
+
+    def nearer(_: Any, before: tuple[Vector3, Flag]) -> tuple[Vector3, Flag]:
+        place, _ = before
         above, is_known = terrain.ground_above(world.origin + world.R_ecef_from_track @ place)
-        place = place.at[2].add(above)
-    return place, is_known
+        return place.at[2].add(above), is_known
+
+    place = jnp.concatenate([horizontal, start[None]])
+    return jax.lax.fori_loop(0, steps, nearer, (place, jnp.asarray(True)))
 
 
 def _surface_slope(place: Vector3, reach: Scalar, terrain: AbstractTerrain, world: World) -> Float[Array, "3 2"]:

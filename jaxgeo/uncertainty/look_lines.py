@@ -11,18 +11,15 @@ from jaxtyping import Array, Float
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import FIRST_HIT
-from jaxgeo._numerics import dot, safe_norm, tree_where
+from jaxgeo._numerics import all_finite, dot
 from jaxgeo._typing import Scalar, Vector3
-from jaxgeo.earth.ellipsoid import WGS84
-from jaxgeo.earth.frames import R_ecef_from_enu
-from jaxgeo.fix import Fix
 from jaxgeo.sensor import Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.host_arrays import concatenate, on_host, take
 from jaxgeo.uncertainty.looks import Looks
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.model_inputs import FARTHER, ModelInputs, NominalFix, Tangents
+from jaxgeo.uncertainty.model_inputs import FARTHER, ModelInputs, Tangents
 
 SIZES = (16, 128, 1024)  # looks of a block: a program serves all numbers of looks up to its size, or blocks of the last
 SOLVED = 3  # steps to the foot of a point on a refracted ray
@@ -68,13 +65,19 @@ def origins_of(looks: Looks, terrain: AbstractTerrain) -> Origins:
     return in_blocks(lambda own: _origins(own, shared), own_arrays(looks))
 
 
-def lines_of(
-    looks: Looks, terrain: AbstractTerrain, model: ErrorModel, columns: np.ndarray, target: Vector3 | Any
-) -> Lines:
-    """Lines of sight of a sensor's looks, as NumPy arrays: at their fixes, or at the points `target` (n, 3) in ECEF m
-    if given."""
+def fixes_of(looks: Looks, terrain: AbstractTerrain) -> tuple[np.ndarray, np.ndarray]:
+    """(fixes of a sensor's looks on the terrain, ECEF m (n, 3), zeros where there is none; their statuses)."""
     shared = shared_arrays(looks, terrain)
-    return in_blocks(lambda own: _lines(own, shared, model, jnp.asarray(columns)), (*own_arrays(looks), target))
+    return in_blocks(lambda own: _fixes(own, shared), own_arrays(looks))
+
+
+def lines_of(
+    looks: Looks, terrain: AbstractTerrain, model: ErrorModel, columns: np.ndarray, places: np.ndarray
+) -> Lines:
+    """Lines of sight of a sensor's looks near places of the target (n, 3) in ECEF m, as NumPy arrays."""
+    shared = shared_arrays(looks, terrain)
+    own = (*own_arrays(looks), places)
+    return in_blocks(lambda own: _lines(own, shared, model, jnp.asarray(columns)), own)
 
 
 def shared_arrays(looks: Looks, terrain: AbstractTerrain) -> tuple[Any, ...]:
@@ -109,16 +112,23 @@ def _origins(own: Any, shared: Any) -> Origins:
 
 
 @batch_filter_jit
+def _fixes(own: Any, shared: Any) -> tuple[Any, Any]:
+    """Fixes one after the other: a search of single rays compiles in a third of the time of one of batches."""
+
+    def one(own: Any) -> tuple[Any, Any]:
+        inputs, _ = inputs_of_look(own, shared)
+        fix = inputs.ground(FIRST_HIT)
+        return jnp.where(fix.found, jnp.asarray(fix.ecef), 0.0), jnp.asarray(fix.status)
+
+    return jax.lax.map(one, own)
+
+
+@batch_filter_jit
 def _lines(own: Any, shared: Any, model: ErrorModel, columns: Float[Array, "axes z"]) -> Lines:
     def one(own: Any) -> Lines:
-        *look, target = own
+        *look, place = own
         inputs, time = inputs_of_look(tuple(look), shared)
-        if target is None:
-            nominal = inputs.nominal_fix(FIRST_HIT)
-            status = jnp.asarray(nominal.fix.status)
-        else:
-            nominal, status = _at_point(inputs, target)
-        return _line_at(inputs, nominal, model, columns, time, status)
+        return _line_at(inputs, place, model, columns, time)
 
     return jax.vmap(one)(own)
 
@@ -131,54 +141,38 @@ def inputs_of_look(own: Any, shared: Any) -> tuple[ModelInputs, Scalar]:
     return ModelInputs.of_checked(sensor, motion, moment, uv, terrain, air), time + later
 
 
-def _at_point(inputs: ModelInputs, target: Vector3) -> tuple[NominalFix, Any]:
-    """(nominal fix at the point of a line of sight that is nearest to a target, without terrain; status)."""
+def _line_at(inputs: ModelInputs, place: Vector3, model: ErrorModel, columns: Any, time: Scalar) -> Lines:
+    """The line of sight near a place of the target; zeros if there is none."""
     _, status = inputs.sightline()
     ray = inputs.ray().through(inputs.air)
-    distance = dot(ray.direction, target - ray.origin)
+    distance = dot(ray.direction, place - ray.origin)
     for _ in range(0 if inputs.air is None else SOLVED):
-        distance = distance + dot(ray.heading_at(distance), target - ray.at(distance))
+        distance = distance + dot(ray.heading_at(distance), place - ray.at(distance))
     ahead = distance > 0.0
     status = jnp.where((status == Status.hit) & ~ahead, Status.behind_camera.code, status)
     distance = jnp.where(ahead, distance, 1.0)
-    p_ecef = ray.at(distance)
-    position = WGS84.to_geodetic(p_ecef)
-    unknown = jnp.full_like(distance, jnp.nan)
-    fix = Fix(position, p_ecef, distance, unknown, unknown, unknown, status)
-    R = R_ecef_from_enu(position)
-    heading = ray.heading_at(distance)
-    nominal = NominalFix(fix, p_ecef, distance, jnp.zeros(2, jnp.int32), R.T @ (heading / safe_norm(heading)), R)
-    return nominal, status
-
-
-def _line_at(
-    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, columns: Any, time: Scalar, status: Any
-) -> Lines:
-    """The line of sight near a nominal fix, with zeros for its derivatives if there is none."""
-    usable = status == Status.hit
-    ray = tree_where(usable, inputs.ray(), inputs.terrain.safe_ray()).through(inputs.air)
     heading, bend = ray.direction, jnp.zeros(3)
     if inputs.air is not None:
-        along = (nominal.distance,), (jnp.ones_like(nominal.distance),)
-        heading, bend = jax.jvp(ray.heading_at, *along)
-    tangents = model.tangents(inputs, nominal)
-    near, far = (_moved_point(inputs, tangents, nominal.distance + further) for further in (0.0, FARTHER))
-    shift, farther = near @ columns, far @ columns
-    found = Lines(
-        time,
-        nominal.p_ecef,
-        heading,
-        bend,
-        nominal.distance,
-        shift,
-        (farther - shift) / FARTHER,
-        tangents.ground @ columns,
-        status,
-    )
-    sound = usable & jnp.all(jnp.isfinite(shift)) & jnp.all(jnp.isfinite(farther)) & jnp.all(jnp.isfinite(found.ground))
+        heading, bend = jax.jvp(ray.heading_at, (distance,), (jnp.ones_like(distance),))
+
+    tangents = _tangents(inputs, ray.at(distance), model)
+    near, far = (_moved_point(inputs, tangents, distance + further) for further in (0.0, FARTHER))
+    shift, farther, ground = near @ columns, far @ columns, tangents.ground @ columns
+    usable = status == Status.hit
+    sound = usable & all_finite((ray.at(distance), shift, farther, ground))
     status = jnp.where(usable & ~sound, Status.invalid_input.code, status)
-    numbers = jax.tree.map(lambda x: jnp.where(sound, x, jnp.zeros_like(x)), found._replace(time=time, status=status))
-    return numbers._replace(time=time, status=status)
+    numbers = (ray.at(distance), heading, bend, distance, shift, (farther - shift) / FARTHER, ground)
+    return Lines(time, *(jnp.where(sound, x, jnp.zeros_like(x)) for x in numbers), status=status)
+
+
+def _tangents(inputs: ModelInputs, p_ecef: Vector3, model: ErrorModel) -> Tangents:
+    """Derivatives by the errors of the line of sight, the air, and the height of the ground at a point."""
+
+    def reached(error: Float[Array, " axes"]) -> Tangents:
+        moved = model.moved(inputs, error)
+        return Tangents(moved.ray(), jax.tree.map(jnp.asarray, moved.air), moved.terrain.ground_above(p_ecef)[0])
+
+    return jax.jacfwd(reached)(jnp.zeros(model.size))
 
 
 def _moved_point(inputs: ModelInputs, tangents: Tangents, distance: Scalar) -> Float[Array, "3 axes"]:

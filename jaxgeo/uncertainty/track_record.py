@@ -17,11 +17,13 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.look_lines import block_size
+from jaxgeo.uncertainty.metrics._host import MOST
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 from jaxgeo.uncertainty.target_motion import AbstractTarget
 from jaxgeo.uncertainty.validation import SIGNIFICANCE, Size
 
 NAMED = 5  # looks in a sentence
+AT_ONCE = 256  # radii that the host computes without a program; it takes a third of a millisecond for each
 
 
 class TargetState(Record):
@@ -238,11 +240,12 @@ class Track(Record):
 
 
 def _radii(radius: Any, cov_enu: Any, probability: ArrayLike) -> Any:
-    """Radii of one or many covariances, padded to few sizes, for which programs are compiled."""
+    """Radii of one or many covariances, in blocks of few sizes."""
     cov = np.asarray(cov_enu)
     if cov.ndim != 3:
         return np.asarray(radius(cov, probability, np.zeros(cov.shape[:-1])))
     count = len(cov)
-    size = -(-count // block_size(count)) * block_size(count)
-    padded = cov[np.minimum(np.arange(size), count - 1)]
-    return np.asarray(radius(padded, probability, np.zeros((size, 3))))[:count]
+    size = block_size(count) if count > AT_ONCE else min(block_size(count), MOST)
+    blocks = [np.minimum(np.arange(first, first + size), count - 1) for first in range(0, count, size)]
+    radii = [np.asarray(radius(cov[index], probability, np.zeros((size, 3)))) for index in blocks]
+    return np.concatenate(radii)[:count]
