@@ -105,7 +105,7 @@ def track(
     sensor, look, order = _in_order(lines)
     status, times = (np.concatenate([np.asarray(x) for x in part])[order] for part in zip(*starts, strict=True))
     _check_enough(status, times, target)
-    scene, at_start = _scene(lines, order, terrain, shared, target)
+    scene, at_start = _scene(lines, order, sensor, terrain, shared, target)
 
     batch, rounds, has_converged = _batch(scene, at_start)
     recursive = _run(scene, About(np.zeros_like(at_start), np.zeros(())), _mode(rounds=ROUNDS))
@@ -246,12 +246,18 @@ def _check_enough(status: np.ndarray, times: np.ndarray, target: AbstractTarget)
 
 
 def _scene(
-    lines: list[Lines], order: np.ndarray, terrain: AbstractTerrain | None, shared: SharedErrors, target: AbstractTarget
+    lines: list[Lines],
+    order: np.ndarray,
+    sensor: np.ndarray,
+    terrain: AbstractTerrain | None,
+    shared: SharedErrors,
+    target: AbstractTarget,
 ) -> tuple[Scene, np.ndarray]:
     """(the lines of sight in the frame of the track, whose origin is at the first one that is used; start)."""
     whole: Lines = jax.tree.map(lambda *x: np.concatenate(x)[order], *lines)
     used = np.asarray(whole.status) == Status.hit
     first = int(np.argmax(used))
+    ground = np.where(used[:, None], whole.ground, whole.ground[_stand_ins(used, sensor)])
     origin = whole.point[first]
     R = np.asarray(R_ecef_from_enu(WGS84.to_geodetic(jnp.asarray(origin))))
     local = whole._replace(
@@ -262,9 +268,10 @@ def _scene(
         distance=np.where(used, whole.distance, USUAL_RANGE),
         shift=np.einsum("ji,njz->niz", R, whole.shift),
         slope=np.einsum("ji,njz->niz", R, whole.slope),
+        ground=ground,
     )
-    ground = of_arrays(terrain) if terrain is not None and target.on_terrain else None
-    world = World(ground, jnp.asarray(origin), jnp.asarray(R), jnp.asarray(shared.durations))
+    surface = of_arrays(terrain) if terrain is not None and target.on_terrain else None
+    world = World(surface, jnp.asarray(origin), jnp.asarray(R), jnp.asarray(shared.durations))
     points, times = local.point[used][:, : target.axes], local.time[used]
     if target.is_moving:
         rows = np.stack([np.ones_like(times), times / max(np.ptp(times), 1.0)], axis=1)
@@ -273,6 +280,12 @@ def _scene(
     else:
         at_start = np.median(points, axis=0)
     return Scene(_blocks(local, used), len(used), world, target, shared.counts), at_start
+
+
+def _stand_ins(used: np.ndarray, sensor: np.ndarray) -> np.ndarray:
+    """For each look one that is used, of the same sensor if there is one: the ground errs by the same sources there."""
+    of_sensor = {number: int(np.argmax(used & (sensor == number))) for number in np.unique(sensor[used])}
+    return np.array([of_sensor.get(number, int(np.argmax(used))) for number in sensor])
 
 
 def _blocks(lines: Lines, used: np.ndarray) -> list[tuple[Lines, Any]]:

@@ -26,7 +26,7 @@ from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.look_lines import Lines
 from jaxgeo.uncertainty.target_motion import AbstractTarget
 
-FLOOR = 1e-14  # of the total variance of a look: least variance of its fresh errors, for models without any
+FLOOR = 1e-8  # of the total variance of a look: least variance of its fresh errors, for models without any
 LEAST = 1e-6  # m: least standard deviation of a look
 FAR, FAST = 1e8, 1e7  # m, m/s: standard deviations of position and velocity before the first look
 AT_ONCE = 1e-7  # least standard deviation of the change of a fading number
@@ -331,7 +331,10 @@ def _equations(measured: Measured, line: Lines, mode: Mode, layout: _Layout) -> 
     _, constant, fading = layout.split(measured.G)
     A = jnp.concatenate([mode.shared * fading, measured.H, mode.shared * constant], axis=1)
     floor = FLOOR * 0.5 * jnp.sum(measured.G**2) + LEAST**2
-    lower = jnp.linalg.cholesky(noise @ noise.T + floor * jnp.eye(2))
+    cov = noise @ noise.T
+    middle, half = 0.5 * (cov[0, 0] + cov[1, 1]), 0.5 * (cov[0, 0] - cov[1, 1])
+    least = middle - safe_sqrt(half**2 + cov[0, 1] ** 2)
+    lower = jnp.linalg.cholesky(cov + jnp.maximum(floor - least, 0.0) * jnp.eye(2))
     W = jax.scipy.linalg.solve_triangular(lower, jnp.eye(2), lower=True)
     return A, W, (noise, ground)
 
