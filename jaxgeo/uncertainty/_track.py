@@ -265,7 +265,7 @@ def _scene(
         point=np.where(used[:, None], whole.point - origin, 0.0) @ R,
         heading=np.where(used[:, None], whole.heading @ R, [0.0, 0.0, -1.0]),
         bend=whole.bend @ R,
-        distance=np.where(used, whole.distance, USUAL_RANGE),
+        distance=np.where(used, whole.distance, np.median(whole.distance[used])),
         shift=np.einsum("ji,njz->niz", R, whole.shift),
         slope=np.einsum("ji,njz->niz", R, whole.slope),
         ground=ground,

@@ -44,6 +44,7 @@ from jaxgeo.uncertainty.looks import checked_looks
 from jaxgeo.uncertainty.shared_errors import shared_errors
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion
 from jaxgeo.uncertainty.track_record import TargetState
+from tests.support import looks as scene
 
 POINT = Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0)
 GROUND = ConstantHeight(600.0)
@@ -415,15 +416,50 @@ def test_words_of_a_track(still) -> None:
     assert str(still.filtered).startswith("6 of 6 states are determined; the last: 47.000000 deg")
 
 
-@pytest.mark.costly
 def test_errors_that_are_not_normal_count_by_their_variance() -> None:
-    heavy = sources.PixelMeasurement.from_pixels(column=2.0, row=2.0, distribution=StudentT(df=5.0))
-    plain = sources.PixelMeasurement.from_pixels(column=2.0, row=2.0)
-    looks = looks_from(np.linspace(-40.0, 40.0, 6))
-    one, other = (track(looks, GROUND, ErrorModel((source,))) for source in (heavy, plain))
-    np.testing.assert_allclose(one.batch.cov_enu, other.batch.cov_enu, rtol=1e-9, atol=1e-12)
-    assert other.note is None
-    assert "Linear propagation uses the variance of 1 source" in str(one)
+    plain = sources.PixelMeasurement.from_pixels(column=2.0, row=3.0)
+    heavy = dataclasses.replace(plain, distribution=StudentT(df=5.0))
+    one, other = (shared_errors(ErrorModel((source,)), (None,)).columns[0] for source in (heavy, plain))
+    np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(one, np.diag([2.0, 3.0]))
+
+
+@pytest.mark.costly
+def test_a_look_from_a_trajectory_through_air_is_that_of_linear_propagation() -> None:
+    ground, motion, options = ConstantHeight(100.0), scene.trajectory(), {"atmosphere": scene.AIR}
+    model = ErrorModel((*scene.few_sources().sources, sources.TimeTag.from_seconds(0.01)))
+    looks = Looks(scene.sensor(), motion, [scene.UV], times=[0.3], errors=model.sources[:1], **options)
+    found = track(looks, ground, ErrorModel(model.sources[1:]))
+    alone = propagate(scene.sensor(), motion, scene.UV, ground, model, time=0.3, **options)
+    np.testing.assert_allclose(found.batch.cov_enu, alone.cov_enu, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found.batch.p_ecef, alone.fix.ecef, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_looks_at_hills_gain_more_than_half() -> None:
+    """Of looks at real relief from an arc of 90 degrees: NEES, and the errors of one look and of all."""
+    dem, model = jaxgeo.io.example_dem(), error_model()
+    place = Geodetic.from_degrees(lat=36.31, lon=-84.22, height=0.0)
+    place = dataclasses.replace(place, height=dem.height_at(place))
+    shots = []
+    for number, azimuth in enumerate(np.radians(np.linspace(0.0, 90.0, 30))):
+        lat, lon = 36.31 + 0.036 * math.cos(azimuth), -84.22 + 0.045 * math.sin(azimuth)
+        position = Geodetic.from_degrees(lat=lat, lon=lon, height=float(place.height) + 3000.0)
+        shots.append(Shot(Pose.looking_at(position=position, point=place), time=5.0 * number))
+    looks, nees, errors = Looks(SENSOR, shots, np.tile(MIDDLE, (30, 1))), [], []
+    for number in range(60):
+        made = simulate_looks(looks, dem, model, jax.random.key(number), position=place)
+        found = track(made.looks, dem, model)
+        nees.append([nees_of(one, made.p_ecef[-1]) for one in (found.batch, found.filtered[-1], found.independent[-1])])
+        errors.append(np.linalg.norm(np.asarray(found.filtered.p_ecef)[[0, -1]] - made.p_ecef[-1], axis=1))
+    low, high = scipy.stats.chi2.ppf([0.025, 0.975], 180)
+    batch, recursive, independent = np.sum(nees, axis=0)
+    assert low < batch < high
+    assert low < recursive < high
+    assert independent > 2.0 * high
+    first, last = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert first > 20.0
+    assert last < 0.5 * first
 
 
 # Mistakes of the caller.
