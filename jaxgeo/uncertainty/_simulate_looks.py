@@ -18,7 +18,7 @@ from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty._track import AT_REST, checked_errors
 from jaxgeo.uncertainty.host_arrays import take
-from jaxgeo.uncertainty.look_filter import World, on_surface
+from jaxgeo.uncertainty.look_equations import World, on_surface
 from jaxgeo.uncertainty.look_lines import in_blocks, inputs_of_look, own_arrays, shared_arrays
 from jaxgeo.uncertainty.looks import Looks, checked_looks
 from jaxgeo.uncertainty.model import ErrorModel

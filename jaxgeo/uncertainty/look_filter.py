@@ -14,15 +14,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxgeo._compile import batch_filter_jit
-from jaxgeo._numerics import dot, safe_norm, safe_sqrt, tree_where
-from jaxgeo._typing import Flag, Matrix3, Scalar, Vector3
+from jaxgeo._numerics import dot, safe_sqrt, tree_where
+from jaxgeo._typing import Flag, Matrix3, Scalar
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.geodetic import Geodetic
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty.look_equations import About, Measured, World, measured_at, place_at
 from jaxgeo.uncertainty.look_lines import Lines
 from jaxgeo.uncertainty.target_motion import AbstractTarget
 
@@ -30,19 +29,8 @@ FLOOR = 1e-8  # of the total variance of a look: least variance of its fresh err
 LEAST = 1e-6  # m: least standard deviation of a look
 FAR, FAST = 1e8, 1e7  # m, m/s: standard deviations of position and velocity before the first look
 AT_ONCE = 1e-7  # least standard deviation of the change of a fading number
-LEAST_REACH = 0.01  # m: least distance over which the slope of the ground is taken
-SURFACE_STEPS, STEPS_NEARBY = 3, 2  # to the ground at a place in the level axes, and near one that is on it
 UNDETERMINED = 0.1  # of the range: standard deviation of a position that is not determined
 EXACT = 1e-12  # share of the variance of an innovation that is the look's own, below which rounding decides
-
-
-class World(NamedTuple):
-    """What all looks share: terrain (None if the target is free in height), frame of the track, fading times in s."""
-
-    terrain: AbstractTerrain | None
-    origin: Vector3
-    R_ecef_from_track: Matrix3
-    durations: Float[Array, " fading"]
 
 
 class Mode(NamedTuple):
@@ -70,13 +58,6 @@ class Carry(NamedTuple):
     fading_cross: Any
 
 
-class About(NamedTuple):
-    """What a look is linearised about: a `state` (unknowns,), and the standard deviation of its position in m."""
-
-    state: Any
-    reach: Any
-
-
 class AfterLook(NamedTuple):
     """Estimates after each look: position and its covariance in m2, velocity in m/s and its covariance, east, north,
     up at the position.
@@ -98,19 +79,6 @@ class AfterLook(NamedTuple):
     degrees: Any
     distance: Any
     is_known: Any
-
-
-class Measured(NamedTuple):
-    """A look linearised at a state: `b` (2,), `H` (2, unknowns) and `G` (2, z) of 0 = b + H dx + G z; and derivatives
-    of the target's place, `T` (3, unknowns) and `up` (3,) by a rise of the ground; range in m.
-    """
-
-    b: Any
-    H: Any
-    G: Any
-    T: Any
-    up: Any
-    distance: Any
 
 
 def start_of(target: AbstractTarget, counts: tuple[int, int, int]) -> Carry:
@@ -180,78 +148,98 @@ class _Layout(NamedTuple):
         return of_z[..., self.fresh], of_z[..., self.constant], of_z[..., self.fading]
 
 
+class _Updated(NamedTuple):
+    """A look taken in: R, y and s after it, the look linearised, and its equation right = A s + noise. `W` whitens the
+    noise, `noise` (2, z) and `rise` (z,) are its derivatives, and those of the ground's height, by the fresh numbers.
+    """
+
+    R: Any
+    y: Any
+    s: Any
+    measured: Measured
+    A: Any
+    right: Any
+    W: Any
+    noise: Any
+    rise: Any
+
+
 def _step(
     carry: Carry, line: Lines, used: Flag, given: About, world: World, mode: Mode, layout: _Layout
 ) -> tuple[Carry, AfterLook]:
     since = line.time - carry.time
     stays = jnp.exp(-since / world.durations)
     new = jnp.maximum(jnp.sqrt(-jnp.expm1(-2.0 * since / world.durations)), AT_ONCE)
-    fading = layout.counts[2]
-    predicted = carry.s.at[:fading].multiply(stays)
+    predicted = carry.s.at[: layout.counts[2]].multiply(stays)
     use = jnp.where(used, 1.0, 0.0)
 
-    def update(about: About) -> tuple[Any, ...]:
-        x = about.state
-        measured = _measured(line, about, world, layout.target)
-        A, W, noise = _equations(measured, line, mode, layout)
-        right = -measured.b + measured.H @ x
-        R, y = _qr_step(carry, stays, new, use * (W @ A), use * (W @ right))
-        s = jax.scipy.linalg.solve_triangular(R, y)
-        return R, y, s, measured, A, W, noise, right
+    def again(_: Any, before: tuple[About, Any]) -> tuple[About, _Updated]:
+        found = _updated(carry, line, before[0], (stays, new, use), world, mode, layout)
+        return About(found.s[layout.unknowns], _reach(found.R, line.time, layout)), found
 
-    def again(_: Any, before: tuple[About, Any]) -> tuple[About, Any]:
-        R, y, s, *rest = update(before[0])
-        return About(s[layout.unknowns], _reach(R, line.time, layout)), (R, y, s, *rest)
+    about = tree_where(mode.rounds > 0, About(predicted[layout.unknowns], jnp.zeros(())), given)
+    _, shape = jax.eval_shape(again, 0, (about, None))
+    empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+    about, found = jax.lax.fori_loop(0, jnp.maximum(mode.rounds, 1), again, (about, empty))
 
-    own_start = About(predicted[layout.unknowns], jnp.zeros(()))
-    about = tree_where(mode.rounds > 0, own_start, given)
-    empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(update, about))
-    about, updated = jax.lax.fori_loop(0, jnp.maximum(mode.rounds, 1), again, (about, empty))
-    R, y, s, measured, A, W, (noise_z, noise_ground), right = updated
-
-    # Innovation.
-    within = jax.scipy.linalg.solve_triangular(R, (W @ A).T, trans="T")
-    own = jnp.eye(2) - use * within.T @ within
-    inverse = W.T @ own @ W
-    determined, innovation = _innovation(right - A @ predicted, inverse, line.distance)
-    determined &= jnp.trace(own) > EXACT
-    innovation = jnp.where(used & determined.any(), innovation, 0.0)
-    degrees = jnp.where(used, jnp.sum(determined), 0)
-
-    # Position: also of the ground as it is known from the fresh errors of this look.
-    reach = about.reach
-    place, is_known = _place(line, s[layout.unknowns], world, layout.target)
-    weight = use * (noise_ground @ noise_z.T) @ (W.T @ W)  # of what is left of the look in the fresh height error
-    shared = jnp.zeros(s.shape[0]).at[:fading].set(mode.shared * layout.split(line.ground)[2])
-    shared = shared.at[layout.unknowns.stop :].set(mode.shared * layout.split(line.ground)[1])
-    M = jnp.zeros((3, s.shape[0])).at[:, layout.unknowns].set(measured.T)
-    M = M + jnp.outer(measured.up, shared - weight @ A)
-    spread = jax.scipy.linalg.solve_triangular(R, M.T, trans="T")
-    left = jnp.maximum(noise_ground @ noise_ground - weight @ (noise_z @ noise_ground), 0.0)
-    cov = spread.T @ spread + jnp.outer(measured.up, measured.up) * left
-    rise = shared @ s + weight @ (right - A @ s)
-    p_ecef = world.origin + world.R_ecef_from_track @ (place + measured.up * rise)
-
-    sums, actual = _actual(carry, line, measured, weight, W, stays, use, layout, R)
-    velocity, V = _velocity(measured, s, R, layout)
+    innovation, degrees = _innovation(found, predicted, used, line.distance)
+    weight = use * (found.rise @ found.noise.T) @ (found.W.T @ found.W)  # of the look in the fresh error of the ground
+    p_ecef, is_known, cov = _position(found, weight, line, world, mode, layout)
+    sums, actual = _actual(carry, line, found, weight, stays, use, layout)
+    velocity, velocity_cov = _velocity(found, layout)
     position = WGS84.to_geodetic(p_ecef)
     to_enu = R_ecef_from_enu(position).T @ world.R_ecef_from_track
     turned = lambda cov: to_enu @ cov @ to_enu.T  # noqa: E731
     after = AfterLook(
-        About(s[layout.unknowns], reach),
+        about,
         position,
         p_ecef,
         turned(cov),
         to_enu @ velocity,
-        turned(V),
+        turned(velocity_cov),
         turned(actual),
         innovation,
         dot(innovation, innovation),
         degrees,
-        measured.distance,
+        found.measured.distance,
         is_known,
     )
-    return Carry(R, y, s, line.time, *sums), after
+    return Carry(found.R, found.y, found.s, line.time, *sums), after
+
+
+def _updated(
+    carry: Carry, line: Lines, about: About, change: tuple[Any, Any, Any], world: World, mode: Mode, layout: _Layout
+) -> _Updated:
+    """The filter with a look, linearised at a state; `change` is how much of the fading numbers stays and is new, and
+    whether the look is used."""
+    stays, new, use = change
+    measured = measured_at(line, about, world, layout.target)
+    A, W, noise, rise = _equations(measured, line, mode, layout)
+    right = measured.H @ about.state - measured.b
+    R, y = _qr_step(carry, stays, new, use * (W @ A), use * (W @ right))
+    return _Updated(R, y, jax.scipy.linalg.solve_triangular(R, y), measured, A, right, W, noise, rise)
+
+
+def _position(
+    found: _Updated, weight: Any, line: Lines, world: World, mode: Mode, layout: _Layout
+) -> tuple[Vector3, Flag, Matrix3]:
+    """(position in ECEF m; whether the ground is known there; covariance in the frame, m2).
+
+    On the terrain it is that of the surface raised by its estimated error, of the shared numbers and of the fresh ones
+    of this look.
+    """
+    s, up = found.s, found.measured.up
+    _, constant, fading = layout.split(line.ground)
+    rise = jnp.zeros(s.shape[0]).at[: layout.counts[2]].set(mode.shared * fading)
+    rise = rise.at[layout.unknowns.stop :].set(mode.shared * constant)
+    M = jnp.zeros((3, s.shape[0])).at[:, layout.unknowns].set(found.measured.T)
+    M = M + jnp.outer(up, rise - weight @ found.A)
+    spread = jax.scipy.linalg.solve_triangular(found.R, M.T, trans="T")
+    left = jnp.maximum(found.rise @ found.rise - weight @ (found.noise @ found.rise), 0.0)
+    place, is_known = place_at(line, s[layout.unknowns], world, layout.target)
+    place = place + up * (rise @ s + weight @ (found.right - found.A @ s))
+    cov = spread.T @ spread + jnp.outer(up, up) * left
+    return world.origin + world.R_ecef_from_track @ place, is_known, cov
 
 
 def _reach(R: Any, time: Scalar, layout: _Layout) -> Scalar:
@@ -263,68 +251,7 @@ def _reach(R: Any, time: Scalar, layout: _Layout) -> Scalar:
     return safe_sqrt(0.5 * jnp.sum(jax.scipy.linalg.solve_triangular(R, M.T, trans="T") ** 2))
 
 
-def _measured(line: Lines, about: About, world: World, target: AbstractTarget) -> Measured:
-    """A look linearised at a state."""
-    place, _ = _place(line, about.state, world, target)
-    T, up = jnp.eye(3), jnp.zeros(3)
-    if target.on_terrain:
-        assert world.terrain is not None
-        T, up = _surface_slope(place, about.reach, world.terrain, world), jnp.array([0.0, 0.0, 1.0])
-    if target.is_moving:
-        T = jnp.concatenate([T, line.time * T], axis=1)
-    ahead = dot(line.heading, place - line.point)
-    foot = line.point + line.heading * ahead + 0.5 * line.bend * ahead**2
-    across = _across(line.heading + line.bend * ahead)
-    G = across @ (jnp.outer(up, line.ground) - line.shift - line.slope * ahead)
-    return Measured(across @ (place - foot), across @ T, G, T, up, line.distance + ahead)
-
-
-def _place(line: Lines, x: Any, world: World, target: AbstractTarget) -> tuple[Vector3, Flag]:
-    """(place of the target at a look in the frame, m; whether the ground is known there)."""
-    axes = target.axes
-    place = x[:axes] + line.time * x[axes:] if target.is_moving else x
-    if not target.on_terrain:
-        return place, jnp.asarray(True)
-    assert world.terrain is not None
-    return on_surface(place, line.point[2], world.terrain, world)
-
-
-def on_surface(
-    horizontal: Any, start: Scalar, terrain: AbstractTerrain, world: World, steps: int = SURFACE_STEPS
-) -> tuple[Vector3, Flag]:
-    """(point of the ground in the frame, over a place in its level axes; whether the ground is known there)."""
-
-    def nearer(_: Any, before: tuple[Vector3, Flag]) -> tuple[Vector3, Flag]:
-        place, _ = before
-        above, is_known = terrain.ground_above(world.origin + world.R_ecef_from_track @ place)
-        return place.at[2].add(above), is_known
-
-    place = jnp.concatenate([horizontal, start[None]])
-    return jax.lax.fori_loop(0, steps, nearer, (place, jnp.asarray(True)))
-
-
-def _surface_slope(place: Vector3, reach: Scalar, terrain: AbstractTerrain, world: World) -> Float[Array, "3 2"]:
-    """Derivative of a point of the ground by its level coordinates, over as much ground as the position may err.
-
-    The difference over the standard deviation on either side: the slope that matters for the estimate (statistical
-    linearisation), and a continuous one. The derivative of a bilinear surface jumps at each row of posts.
-    """
-    steps = jnp.maximum(reach, LEAST_REACH) * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    around = jax.vmap(lambda step: on_surface(place[:2] + step, place[2], terrain, world, STEPS_NEARBY)[0])(steps)
-    return (around[::2] - around[1::2]).T / (2.0 * jnp.maximum(reach, LEAST_REACH))
-
-
-def _across(heading: Vector3) -> Float[Array, "2 3"]:
-    """Unit vectors across a line of sight: to the right, level, and upwards; for a plumb line two level ones."""
-    d = heading / safe_norm(heading)
-    level = jnp.stack([d[1], -d[0], jnp.zeros(())])
-    plumb = dot(level, level) < 1e-12
-    level = jnp.where(plumb, jnp.array([1.0, 0.0, 0.0]), level)
-    right = level / safe_norm(level)
-    return jnp.stack([right, jnp.cross(right, d)])
-
-
-def _equations(measured: Measured, line: Lines, mode: Mode, layout: _Layout) -> tuple[Any, Any, tuple[Any, Any]]:
+def _equations(measured: Measured, line: Lines, mode: Mode, layout: _Layout) -> tuple[Any, Any, Any, Any]:
     """(A of -b = A ds + noise; W with W' W the inverse covariance of the noise; derivatives of the noise (2, z) and of
     the height of the ground (z,) by the numbers that are fresh)."""
     noise, ground = (_fresh(of_z, mode, layout) for of_z in (measured.G, line.ground))
@@ -336,7 +263,7 @@ def _equations(measured: Measured, line: Lines, mode: Mode, layout: _Layout) -> 
     least = middle - safe_sqrt(half**2 + cov[0, 1] ** 2)
     lower = jnp.linalg.cholesky(cov + jnp.maximum(floor - least, 0.0) * jnp.eye(2))
     W = jax.scipy.linalg.solve_triangular(lower, jnp.eye(2), lower=True)
-    return A, W, (noise, ground)
+    return A, W, noise, ground
 
 
 def _fresh(of_z: Any, mode: Mode, layout: _Layout) -> Any:
@@ -357,42 +284,39 @@ def _qr_step(carry: Carry, stays: Any, new: Any, A: Any, right: Any) -> tuple[An
     return reduced[:, :-1], reduced[:, -1]
 
 
-def _innovation(residual: Any, inverse: Any, distance: Scalar) -> tuple[Any, Any]:
-    """(which of two directions are determined, standardised innovation) from the inverse innovation covariance."""
+def _innovation(found: _Updated, predicted: Any, used: Flag, distance: Scalar) -> tuple[Any, Any]:
+    """(standardised innovation, number of its components that are determined), zeros for a look that is not used."""
+    within = jax.scipy.linalg.solve_triangular(found.R, (found.W @ found.A).T, trans="T")
+    own = jnp.eye(2) - within.T @ within
+    inverse = found.W.T @ own @ found.W
     values, vectors = jnp.linalg.eigh(0.5 * (inverse + inverse.T))
-    determined = values * distance**2 > 1.0
+    determined = used & (values * distance**2 > 1.0) & (jnp.trace(own) > EXACT)
     roots = jnp.sqrt(jnp.where(determined, values, 0.0))
-    return determined, vectors @ (roots * (vectors.T @ residual))
+    innovation = vectors @ (roots * (vectors.T @ (found.right - found.A @ predicted)))
+    return innovation, jnp.sum(determined)
 
 
-def _velocity(measured: Measured, s: Any, R: Any, layout: _Layout) -> tuple[Any, Any]:
+def _velocity(found: _Updated, layout: _Layout) -> tuple[Vector3, Matrix3]:
     """(velocity in the frame, m/s; its covariance)."""
     if not layout.target.is_moving:
         return jnp.zeros(3), jnp.zeros((3, 3))
     axes = layout.target.axes
-    T = measured.T[:, :axes]
+    T = found.measured.T[:, :axes]
     first = layout.unknowns.start + axes
-    M = jnp.zeros((3, s.shape[0])).at[:, first : first + axes].set(T)
-    spread = jax.scipy.linalg.solve_triangular(R, M.T, trans="T")
-    return T @ s[first : first + axes], spread.T @ spread
+    M = jnp.zeros((3, found.s.shape[0])).at[:, first : first + axes].set(T)
+    spread = jax.scipy.linalg.solve_triangular(found.R, M.T, trans="T")
+    return T @ found.s[first : first + axes], spread.T @ spread
 
 
 def _actual(
-    carry: Carry,
-    line: Lines,
-    measured: Measured,
-    weight: Any,
-    W: Any,
-    stays: Any,
-    use: Any,
-    layout: _Layout,
-    R: Any,
+    carry: Carry, line: Lines, found: _Updated, weight: Any, stays: Any, use: Any, layout: _Layout
 ) -> tuple[tuple[Any, Any, Any, Any], Matrix3]:
     """(sums of the filter that takes all errors for fresh; actual covariance of its position).
 
     Its estimate errs by P times the sum of H' W' W G z over the looks, where P is the covariance that it claims.
     """
-    V = use * measured.H.T @ (W.T @ W)
+    measured = found.measured
+    V = use * measured.H.T @ (found.W.T @ found.W)
     fresh, constant, fading = (V @ part for part in layout.split(measured.G))
     before = carry.fading_cross * stays[None, :]
     fresh_sum = carry.fresh_sum + fresh @ fresh.T
@@ -400,8 +324,8 @@ def _actual(
     fading_sum = carry.fading_sum + fading @ fading.T + fading @ before.T + before @ fading.T
     cross = before + fading
 
-    unit = jnp.eye(R.shape[0])[:, layout.unknowns]
-    spread = jax.scipy.linalg.solve_triangular(R, unit, trans="T")
+    unit = jnp.eye(found.R.shape[0])[:, layout.unknowns]
+    spread = jax.scipy.linalg.solve_triangular(found.R, unit, trans="T")
     by_sum = (measured.T - jnp.outer(measured.up, weight @ measured.H)) @ (spread.T @ spread)
     now, always, faded = layout.split(weight @ measured.G - line.ground)
     up = measured.up

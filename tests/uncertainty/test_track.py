@@ -38,7 +38,8 @@ from jaxgeo.uncertainty import (
     track,
 )
 from jaxgeo.uncertainty.distributions import StudentT
-from jaxgeo.uncertainty.look_filter import About, Carry, Mode, World, filtered, start_of
+from jaxgeo.uncertainty.look_equations import About, World
+from jaxgeo.uncertainty.look_filter import Carry, Mode, filtered, start_of
 from jaxgeo.uncertainty.look_lines import SIZES, Lines
 from jaxgeo.uncertainty.looks import checked_looks
 from jaxgeo.uncertainty.shared_errors import shared_errors
