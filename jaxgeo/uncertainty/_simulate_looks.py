@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -93,8 +94,9 @@ def simulate_looks(
     made, places = [], []
     for one, model, columns, z in zip(several, shared.models, shared.columns, each, strict=True):
         own = (*own_arrays(one), z @ columns.T)
-        constants = (shared_arrays(one, ground), world, start, model)
-        uvs, place = in_blocks(lambda own, constants=constants: _seen(own, *constants, target), own)
+        shared_by_looks = shared_arrays(one, ground)
+        see = functools.partial(_seen, shared=shared_by_looks, world=world, start=start, model=model, target=target)
+        uvs, place = in_blocks(see, own)
         made.append(Looks(one.sensor, one.shots, uvs, one.times, one.errors, one.atmosphere))
         places.append(place)
     return SimulatedLooks(tuple(made), take(np.concatenate(places), order), jnp.asarray(velocity))

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._numerics import dot, safe_sqrt, tree_where
-from jaxgeo._typing import Flag, Matrix3, Scalar
+from jaxgeo._typing import Flag, Matrix3, Scalar, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.geodetic import Geodetic
@@ -117,7 +117,7 @@ def filtered(
     With `mode.rounds` 0 all looks are linearised `about` one state.
     """
     layout = _Layout(target, counts)
-    step = lambda carry, look: _step(carry, *look, about, world, mode, layout)  # noqa: E731
+    step = lambda carry, look: _step(carry, look[0], look[1], about, world, mode, layout)  # noqa: E731
     return jax.lax.scan(step, carry, (lines, used))
 
 
