@@ -21,6 +21,8 @@ SLOW = {  # of what they compile
     "sensor/sensor.py",
     "uncertainty/_accuracy.py",
     "uncertainty/_budget.py",
+    "uncertainty/_simulate_looks.py",
+    "uncertainty/_track.py",
 }
 # What no reader should look for in vain: the doors through which most come.
 DOORS = {
@@ -42,6 +44,7 @@ DOORS = {
     "uncertainty/_accuracy.py": "accuracy",
     "uncertainty/sampling.py": "Sampling",
     "uncertainty/_budget.py": "budget",
+    "uncertainty/_track.py": "track",
     "uncertainty/metrics/exact.py": "circular_error linear_error spherical_error",
     "coverage/pointing.py": "point_gimbal",
     "coverage/_footprint.py": "footprint",

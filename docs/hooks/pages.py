@@ -25,6 +25,7 @@ ORDER = (
     "error_budget",
     "linear_vs_sampled",
     "which_hill",
+    "tracking",
     "are_my_errors_true",
     "accuracy_map",
     "overlap_and_pointing",

@@ -1,4 +1,4 @@
-"""Accuracy of fixes: error sources, linear propagation, Monte Carlo, sigma points, error budgets and design."""
+"""Accuracy of fixes: error sources, linear propagation, Monte Carlo, sigma points, error budgets, design, tracks."""
 
 from jaxgeo._renamed import renamed
 from jaxgeo.uncertainty import datasheet, distributions, metrics, presets, sources
@@ -15,6 +15,8 @@ from jaxgeo.uncertainty._error_samples import ErrorSamples, error_samples
 from jaxgeo.uncertainty._gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty._height_errors import HeightErrors, height_errors
 from jaxgeo.uncertainty._second_order import Moments, second_order, sigma_points
+from jaxgeo.uncertainty._simulate_looks import SimulatedLooks, simulate_looks
+from jaxgeo.uncertainty._track import track
 from jaxgeo.uncertainty._validate import validate
 from jaxgeo.uncertainty.accuracy_check import AccuracyCheck, check_accuracy
 from jaxgeo.uncertainty.accuracy_record import Accuracy
@@ -25,6 +27,7 @@ from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.intervals import Share
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
+from jaxgeo.uncertainty.looks import Looks
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
@@ -35,6 +38,8 @@ from jaxgeo.uncertainty.sampling import Sampling
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
+from jaxgeo.uncertainty.target_motion import AtRest, ConstantVelocity
+from jaxgeo.uncertainty.track_record import TargetState, Track
 from jaxgeo.uncertainty.validation import Validation
 
 __all__ = [
@@ -43,10 +48,12 @@ __all__ = [
     "Accuracy",
     "AccuracyCheck",
     "AccuracyMap",
+    "AtRest",
     "Budget",
     "Calibration",
     "CheckPoints",
     "Comparison",
+    "ConstantVelocity",
     "Design",
     "Diagnostics",
     "ErrorModel",
@@ -57,6 +64,7 @@ __all__ = [
     "InverseCost",
     "JointFixes",
     "Level",
+    "Looks",
     "Method",
     "Mode",
     "Moments",
@@ -73,10 +81,13 @@ __all__ = [
     "Sampled",
     "Sampling",
     "Share",
+    "SimulatedLooks",
     "Sobol",
     "SobolIndices",
     "Systematic",
+    "TargetState",
     "TimeCorrelated",
+    "Track",
     "Validation",
     "accuracy",
     "accuracy_map",
@@ -101,9 +112,11 @@ __all__ = [
     "sample",
     "second_order",
     "sigma_points",
+    "simulate_looks",
     "sobol_indices",
     "sources",
     "spherical_error",
+    "track",
     "validate",
 ]
 
