@@ -300,7 +300,7 @@ def test_a_region_is_drawn_as_it_is() -> None:
     """Its areas with their holes, and its outlines."""
     ring = shapely.Point(0.0, 0.0).buffer(100.0).difference(shapely.Point(0.0, 0.0).buffer(40.0))
     far = shapely.box(500.0, 0.0, 520.0, 10.0)
-    chart = figure()
+    chart: Any = figure()
     draw_region(chart, [(*rings_of(one), "words") for one in (ring, far)], 0.9)
     areas, lines = chart.renderers
     drawn = []
