@@ -11,6 +11,7 @@ import pathlib
 import re
 import sys
 from collections import Counter
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np

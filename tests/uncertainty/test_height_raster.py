@@ -5,6 +5,8 @@ Held against: bilinear interpolation by SciPy, and `TerrainHeight` with the same
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,7 +82,7 @@ def test_a_constant_raster_is_a_terrain_height(constant: ErrorModel) -> None:
     assert str(budget(ours)) == str(budget(theirs))
     assert "terrain height: height" in str(budget(ours))
     drawn = [sample(*SCENE, model, count=64, keep=True).errors_enu for model in (constant, plain)]
-    np.testing.assert_array_equal(*drawn)
+    np.testing.assert_array_equal(drawn[0], drawn[1])
 
 
 def test_twice_the_raster_is_twice_the_error(grid: TangentGrid, posts: np.ndarray) -> None:
@@ -125,7 +127,7 @@ def test_shared_errors_of_two_fixes_are_one_number_times_the_value_at_each(
 ) -> None:
     pixels = looks.LEVEL_UV, (1250.0, 1650.0)
     for sharing, correlation in ((None, 1.0), (PerMeasurement(), 0.0)):
-        options = {} if sharing is None else {"sharing": sharing}
+        options: dict[str, Any] = {} if sharing is None else {"sharing": sharing}
         source = sources.TerrainHeightRaster.from_array(posts, grid, **options)
         both = [jaxgeo.propagate(*SCENE[:2], uv, SCENE[3], (source,)) for uv in pixels]
         a, b = (float(one.model.sources[0].sigma[0]) for one in both)
