@@ -302,7 +302,7 @@ def test_a_region_is_drawn_as_it_is() -> None:
     ring = shapely.Point(0.0, 0.0).buffer(100.0).difference(shapely.Point(0.0, 0.0).buffer(40.0))
     far = shapely.box(500.0, 0.0, 520.0, 10.0)
     chart: Any = figure()
-    draw_region(chart, [(*rings_of(one), "words") for one in (ring, far)], 0.9)
+    draw_region(chart, [(*rings_of(one), "words") for one in (ring, far)])
     areas, lines = chart.renderers
     drawn = []
     for xs, ys in zip(areas.data_source.data["xs"], areas.data_source.data["ys"], strict=True):

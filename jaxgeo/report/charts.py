@@ -126,7 +126,9 @@ def _region(chart: Any, detail: Detail, probability: float) -> None:
     """Draw the region of the samples, piece by piece."""
     if detail.region is None:
         return
-    draw_region(chart, [(*rings_of(mode.polygon_enu), mode.words) for mode in detail.region.modes], probability)
+    lines = draw_region(chart, [(*rings_of(mode.polygon_enu), mode.words) for mode in detail.region.modes])
+    tip = [("", f"{words.percent_name(probability)} % region of samples"), ("", "@what")]
+    chart.add_tools(HoverTool(renderers=[lines], tooltips=tip, visible=False))
 
 
 def _curves(chart: Any, answer: Accuracy, probability: float, radius: float) -> list[Any]:

@@ -45,7 +45,7 @@ def map_of(
     _outlines(chart, details, places)
     _sights(chart, subject, places)
     _clouds(chart, subject, details)
-    _regions(chart, subject, details, places)
+    _regions(chart, details, places)
     _ellipses(chart, subject, details, places)
     _cameras(chart, subject, places)
     _fixes(chart, subject, rows, places)
@@ -144,21 +144,17 @@ def _clouds(chart: Any, subject: ReportData, details: Sequence[Detail]) -> None:
                 chart.scatter(cloud[which, 0], cloud[which, 1], name="samples", **style)
 
 
-def _regions(chart: Any, subject: ReportData, details: Sequence[Detail], places: Places) -> None:
+def _regions(chart: Any, details: Sequence[Detail], places: Places) -> None:
     """Draw the regions of the samples, piece by piece."""
-    found = [(detail, mode) for detail in details if detail.region is not None for mode in detail.region.modes]
-    if not found:
-        return
-    middle = places.box.centre[0]
-    pieces = []
-    for detail, mode in found:
-        xs, ys = rings_of(mode.polygon)
-        pieces.append(([unwrapped(x, middle) for x in xs], ys, f"{subject.name(detail.index)}: {mode.words}"))
-    draw_region(chart, pieces, subject.probability)
+    modes = [mode for detail in details if detail.region is not None for mode in detail.region.modes]
+    rings = [(*rings_of(mode.polygon), mode.words) for mode in modes]
+    if rings:
+        middle = places.box.centre[0]  # no tip: the fix lies within, and has one
+        draw_region(chart, [([unwrapped(x, middle) for x in xs], ys, text) for xs, ys, text in rings])
 
 
-def draw_region(chart: Any, pieces: Sequence[tuple[list[np.ndarray], list[np.ndarray], str]], level: float) -> None:
-    """Draw pieces of regions of samples: areas, and outlines with their words as a tip."""
+def draw_region(chart: Any, pieces: Sequence[tuple[list[np.ndarray], list[np.ndarray], str]]) -> Any:
+    """Draw pieces of regions of samples, (x and y of their rings, words); returns the outlines, with `what` of each."""
     chart.multi_polygons(
         [[xs] for xs, _, _ in pieces],
         [[ys] for _, ys, _ in pieces],
@@ -167,17 +163,13 @@ def draw_region(chart: Any, pieces: Sequence[tuple[list[np.ndarray], list[np.nda
         fill_alpha=REGION_FILL,
         name="region",
     )
-    title = f"{words.percent_name(level)} % region of samples"
     source = {
         "xs": [x for xs, _, _ in pieces for x in xs],
         "ys": [y for _, ys, _ in pieces for y in ys],
         "what": [text for xs, _, text in pieces for _ in xs],
     }
-    lines = chart.multi_line(
-        "xs", "ys", source=ColumnDataSource(source), line_color=REGION, line_width=1.8, name="region"
-    )
-    tip = [("", title), ("", "@what")]
-    chart.add_tools(HoverTool(renderers=[lines], tooltips=tip, name="tip of regions", visible=False))
+    style: dict[str, Any] = {"line_color": REGION, "line_width": 1.8, "name": "region"}
+    return chart.multi_line("xs", "ys", source=ColumnDataSource(source), **style)
 
 
 def _ellipses(chart: Any, subject: ReportData, details: Sequence[Detail], places: Places) -> None:
