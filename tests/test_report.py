@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import html
 import json
@@ -9,21 +10,29 @@ import math
 import pathlib
 import re
 import sys
+from collections import Counter
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
+from bokeh.plotting import figure
 from support.drone_image_files import packet, write_image
 from typer.testing import CliRunner
 
 from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
-from jaxgeo.report import ReportData, ReportHeader, details_of, report_html, write_report
+from jaxgeo.io._fix_columns import figures_of, rows_of
+from jaxgeo.report import Detail, ReportData, ReportHeader, details_of, report_html, write_report
 from jaxgeo.report import words as say
-from jaxgeo.report.details import chosen
+from jaxgeo.report.details import chosen, region_of
 from jaxgeo.report.ground import Box
-from jaxgeo.uncertainty import sources
+from jaxgeo.report.map import draw_region, map_of
+from jaxgeo.report.places import places_of, rings_of
+from jaxgeo.uncertainty import Method, sources
+from tests.support.clouds import cloud, normal
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+700.0",
@@ -254,6 +263,60 @@ def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
         assert [index for index, _ in picks] == [order[len(order) // 2], order[-1], order[0]]
         assert [why for _, why in picks] == ["median CE90", "largest CE90", "smallest CE90"]
         assert say.length(float(radii.max())) in text
+
+
+@pytest.mark.costly
+def test_an_ellipse_is_drawn_where_it_is_true_and_a_region_in_its_place_where_it_is_not() -> None:
+    """On level ground; with its figures by samples the same fix has no ellipse, and no circle beside the region."""
+    sensor, shot = level_sensor()
+    subject = ReportData.of(sensor, shot, (320.0, 700.0), ConstantHeight(0.0), ERRORS)
+    (detail,) = details_of(subject)
+    assert detail.region is not None
+    assert (detail.region.probability, len(detail.region.modes)) == (0.9, 1)
+    assert detail.to_dict()["region"]["words"] == detail.region.words
+    text = seen(report_html(subject, details=[detail]))
+    assert f"Region of the samples: {detail.region.words} The map shows the ellipse of linear propagation" in text
+    assert "solid: 90 % ellipse of linear propagation" in text
+    assert layers_of(subject, detail) == {"region": 2, "ellipse": 2}
+    assert subject.accuracy is not None
+    unknown = {name: np.full_like(getattr(subject.accuracy, name), np.nan) for name in ("cov_enu", "bias_enu")}
+    of_samples = dataclasses.replace(subject.accuracy, method=np.array([int(Method.samples)]), **unknown)
+    sampled = dataclasses.replace(subject, accuracy=of_samples)
+    text = seen(report_html(sampled, details=[detail]))
+    assert f"{detail.region.words} The map shows this region; an ellipse would be wrong." in text
+    assert layers_of(sampled, detail) == {"region": 2}
+    assert layers_of(sampled, detail._replace(region=None)) == {"ellipse": 2}, "the circle"
+    lost = detail._replace(region=None, no_region="No region.")
+    assert "Region of the samples: No region." in seen(report_html(sampled, details=[lost]))
+
+
+def layers_of(subject: ReportData, detail: Detail) -> dict[str, int]:
+    """Number of drawn parts of the regions and ellipses of a map."""
+    rows = rows_of(subject.fixes, figures_of("report", subject.fixes, subject.accuracy, None, None, None))
+    chart = map_of(subject, [detail], rows, places_of(subject, [detail]), [])
+    return Counter(one.name for one in chart.renderers if one.name in ("region", "ellipse"))
+
+
+def test_a_region_is_drawn_as_it_is() -> None:
+    """Its areas with their holes, and its outlines."""
+    ring = shapely.Point(0.0, 0.0).buffer(100.0).difference(shapely.Point(0.0, 0.0).buffer(40.0))
+    far = shapely.box(500.0, 0.0, 520.0, 10.0)
+    chart: Any = figure()
+    draw_region(chart, [(*rings_of(one), "words") for one in (ring, far)])
+    areas, lines = chart.renderers
+    drawn = []
+    for xs, ys in zip(areas.data_source.data["xs"], areas.data_source.data["ys"], strict=True):
+        outer, *holes = (np.column_stack(part) for part in zip(xs[0], ys[0], strict=True))
+        drawn.append(shapely.Polygon(outer, holes))
+    assert [one.symmetric_difference(other).area for one, other in zip(drawn, (ring, far), strict=True)] == [0.0, 0.0]
+    assert len(lines.data_source.data["xs"]) == 3
+    assert list(lines.data_source.data["what"]) == ["words"] * 3
+
+
+def test_samples_without_a_region_say_why() -> None:
+    region, why = region_of(cloud(normal(300, [[1.0, 0.0], [0.0, 1.0]], seed=1), lost=100), 0.9)
+    assert region is None
+    assert why.startswith("No region holds the truth with 90 %: 25 % of the samples have no ground")
 
 
 def test_labels_are_one_for_each_pixel() -> None:

@@ -209,12 +209,19 @@ def test_layers_bars_and_headers_do_what_they_say(browser, page_file: pathlib.Pa
         page.locator('[data-layer="relief"]').uncheck()
         without = picture(page, "#chart-map").astype(float)
         assert np.mean(np.abs(with_relief - without)) > 10.0
+        page.get_by_role("button", name="Fix 1").click()
+        assert page.get_by_text("region of samples", exact=True).is_visible()
+        with_region = picture(page, "#chart-map").astype(float)
+        page.locator('[data-layer="region"]').uncheck()
+        changed = np.abs(with_region - picture(page, "#chart-map").astype(float)).max(axis=2) > 20.0
+        assert 500 < changed.sum() < 0.2 * changed.size, "its two pieces, and nothing else"
         bar = page.locator(".budget-row").first
         tip = bar.locator(".tip")
         assert not tip.is_visible()
         bar.hover()
         assert tip.is_visible()
-        assert "CE90 without it" in tip.inner_text()
+        assert "of the variance" in tip.inner_text()
+        assert "CE90 without it" not in tip.inner_text(), "the figures of this fix are of samples"
         head = page.locator("table.fixes thead th").filter(has_text="name")
         first = page.locator("table.fixes tbody tr").first
         head.click()

@@ -115,7 +115,8 @@ def ground_errors(stated: tuple[Any, ...], sigmas: Sigmas, *, level: bool) -> tu
     """(error sources of the ground height, assumptions); the stated ones without options. Raises `UserError`."""
     from jaxgeo.uncertainty import sources
 
-    own = tuple(one for one in stated if isinstance(one, sources.TerrainHeight | sources.TerrainField))
+    of_ground = sources.TerrainHeight | sources.TerrainField | sources.TerrainHeightRaster
+    own = tuple(one for one in stated if isinstance(one, of_ground))
     if own and sigmas.dem is None and sigmas.dem_correlation is None:
         return own, []
     assumed = []

@@ -23,7 +23,15 @@ from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
-from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position, TerrainField, TerrainHeight
+from jaxgeo.uncertainty.sources import (
+    AbstractSource,
+    Attitude,
+    GimbalAngles,
+    Position,
+    TerrainField,
+    TerrainHeight,
+    TerrainHeightRaster,
+)
 
 if TYPE_CHECKING:
     from jaxgeo.io import DemFiles
@@ -31,6 +39,7 @@ if TYPE_CHECKING:
 REPORTED = "reported"
 SHARE = re.compile(r"( \(\d+ of \d+ exposures[^)]*\))?$")  # end of a sentence that does not apply to all
 OPTION_OF = {Position: "position", Attitude: "attitude", GimbalAngles: "gimbal"}
+OF_GROUND = TerrainHeight | TerrainField | TerrainHeightRaster
 # Phrases in the readers' sentences about error sources, and the options that replace these sources.
 REPLACED = {
     "Focal length sigma:": "focal",
@@ -184,7 +193,7 @@ def _sources(
 
     sigmas, is_level = options.sigmas, options.ground.level is not None
     pitch = pixel_pitch_of(pathlib.Path(source)) if batch.is_one_camera else None
-    own = tuple(one for one in batch.sources if not isinstance(one, TerrainHeight | TerrainField))
+    own = tuple(one for one in batch.sources if not isinstance(one, OF_GROUND))
     given = errors_given(own, sigmas, batch.sensor.gimbal, source, pitch)
     ground, assumed = ground_errors(batch.sources, sigmas, level=is_level)
     found = (*given, *ground)

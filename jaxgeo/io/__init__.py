@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.footprints import write_footprints
     from jaxgeo.io.gcp import GroundControl, read_gcp_list
     from jaxgeo.io.geoid import height_msl, undulation
+    from jaxgeo.io.height_sigmas import read_height_sigmas
     from jaxgeo.io.image_points import read_image_points, write_image_points
     from jaxgeo.io.images import read_image
     from jaxgeo.io.locate_on_disk import intersect_files, locate_files
@@ -88,6 +89,7 @@ __all__ = [
     "read_dem",
     "read_dem_and_report",
     "read_gcp_list",
+    "read_height_sigmas",
     "read_image",
     "read_image_points",
     "read_navigation",
@@ -134,6 +136,7 @@ _NAMES_OF = {
     "footprints": "write_footprints",
     "gcp": "GroundControl read_gcp_list",
     "geoid": "height_msl undulation",
+    "height_sigmas": "read_height_sigmas",
     "image_points": "read_image_points write_image_points",
     "images": "read_image",
     "locate_on_disk": "intersect_files locate_files",

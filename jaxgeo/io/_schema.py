@@ -45,6 +45,7 @@ Text = Annotated[str, _strict, Unit("a text")]
 
 
 _Two = Annotated[list[_Sigma], Field(min_length=2, max_length=2)]
+_Numbers = Annotated[list[_Number], Field(min_length=2, max_length=100_000)]
 _Three = Annotated[list[_Sigma], Field(min_length=3, max_length=3)]
 _Some = Annotated[list[_Sigma], Field(min_length=1)]
 SigmasNed = Annotated[_Sigma | _Three, Unit(f"{_SIGMA} in m, or a list: north, east, down")]
@@ -66,6 +67,14 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class PartTable(_Table):
+    """A part of a mixture of normal distributions."""
+
+    share: Annotated[_Number, Unit("the share of a part, such as 0.9")]
+    sigma: Annotated[_Sigma, Unit(_SIGMA)]
+    mean: Annotated[_Number, Unit("the mean of a part")] = 0.0
+
+
 class StatedTable(_Table):
     """An error as a data sheet states it, or one that is not normal; numbers are in the unit of the key."""
 
@@ -83,6 +92,14 @@ class StatedTable(_Table):
     df: Annotated[_Number, Unit("degrees of freedom")] | None = None
     share: Annotated[_Number, Unit("the share of outliers")] | None = None
     times: Annotated[_Number, Unit("the sigma of outliers in sigmas of the others")] | None = None
+    low: Annotated[_Number, Unit("the lower limit in sigmas before the cut, such as -2")] | None = None
+    high: Annotated[_Number, Unit("the upper limit in sigmas before the cut, such as 2")] | None = None
+    residuals: Annotated[_Numbers, Unit("a list of measured errors")] | None = None
+    probabilities: Annotated[_Numbers, Unit("a list of probabilities from 0 to 1")] | None = None
+    values: Annotated[_Numbers, Unit("a list of errors, one for each of the probabilities")] | None = None
+    parts: Annotated[list[PartTable], Field(min_length=1, max_length=100)] | None = None
+    raster: Annotated[str, Field(strict=True, min_length=1), Unit("the path of a raster")] | None = None
+    scale: Annotated[float, Field(strict=True, gt=0.0, le=1e6), Unit("a factor on the raster's values")] | None = None
 
 
 class DistortionTable(_Table):

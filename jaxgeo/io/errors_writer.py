@@ -14,7 +14,7 @@ from jaxgeo._destination import destination
 from jaxgeo.io.scene import SceneError
 from jaxgeo.io.scene_errors import PLAIN
 from jaxgeo.uncertainty import ErrorModel, sources
-from jaxgeo.uncertainty.distributions import StudentT
+from jaxgeo.uncertainty.distributions import Empirical, Mixture, StudentT, TruncatedNormal
 
 DEGREES = 180.0 / np.pi
 DIGITS = 6  # significant ones
@@ -97,10 +97,33 @@ def _shape(source: Any) -> dict[str, Any]:
         for name, kind in PLAIN.items():
             if type(shape) is kind:
                 return {"distribution": name}
-        degrees = {float(df) for one in source.shapes if isinstance(one, StudentT) for df in np.ravel(one.df)}
-        if len(degrees) == 1:
-            return {"distribution": "student-t", "df": degrees.pop()}
+        found = [_parameters(one) for one in source.shapes]
+        if found[0] is not None and all(one == found[0] for one in found):
+            return found[0]
     raise SceneError(f"[errors]: the distribution of {source.label} has no form in a scene file.")
+
+
+def _parameters(shape: Any) -> dict[str, Any] | None:
+    """Keys of a distribution with parameters."""
+    if isinstance(shape, StudentT):
+        degrees = np.unique(np.asarray(shape.df, np.float64))
+        return {"distribution": "student-t", "df": float(degrees[0])} if degrees.size == 1 else None
+    if isinstance(shape, TruncatedNormal):
+        limits = {name: np.asarray(getattr(shape, name), np.float64) for name in ("low", "high")}
+        if any(limit.ndim for limit in limits.values()):
+            return None
+        known = {name: float(limit) for name, limit in limits.items() if np.isfinite(limit)}
+        return {"distribution": "truncated-normal", **known} if known else None
+    if isinstance(shape, Empirical):
+        knots = {name: np.asarray(getattr(shape, name), np.float64) for name in ("probabilities", "values")}
+        if any(values.ndim != 1 for values in knots.values()):
+            return None
+        return {"distribution": "empirical", **{name: values.tolist() for name, values in knots.items()}}
+    if isinstance(shape, Mixture) and np.ndim(shape.shares) == 1:
+        columns = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (shape.shares, shape.sigmas, shape.means)))
+        parts = [dict(zip(("share", "sigma", "mean"), row, strict=True)) for row in np.stack(columns, 1).tolist()]
+        return {"distribution": "mixture", "parts": parts}
+    return None
 
 
 def _value(sigma: np.ndarray, shape: dict[str, Any]) -> Any:

@@ -89,17 +89,20 @@ def open_source(
     paths: Paths,
     *,
     band: int,
-    vertical_datum: VerticalDatum,
+    vertical_datum: VerticalDatum | HeightShift,
     nodata: Nodata,
     height_unit: str | None,
     assume_wgs84: bool,
     bounds: Bounds | None = None,
     reach: Reach = HERE,
 ) -> Source:
-    """Open files: headers, map and vertical datum of the part within `bounds`; reads no posts."""
+    """Open files: headers, map and vertical datum of the part within `bounds`; reads no posts.
+
+    A given `HeightShift` is used whatever datum the files state.
+    """
     mosaic = open_tiles(paths, band, reach)
     mapping, window = _part(mosaic, bounds, assume_wgs84)
-    shift = _shift(mosaic, mapping, vertical_datum)
+    shift = vertical_datum if isinstance(vertical_datum, HeightShift) else _shift(mosaic, mapping, vertical_datum)
     unit = metres_per_unit(mosaic.first, height_unit, shift.unit if shift.transformer is not None else None)
     marks = marks_of(mosaic.name, nodata)
     return Source(mosaic.read_as(unit, marks), window, mapping, shift, unit, marks)

@@ -81,7 +81,9 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         sensor = Sensor(_camera(table.camera), _gimbal(table.gimbal), _mount(table.mount, table.gimbal.kind))
         shot = None if table.pose is None else _shot(table.pose, table.gimbal, sensor.gimbal)
         air = None if table.air is None else _air(table.air, table.pose)
-        errors = None if table.errors is None else model_of_table(table.errors, sensor.gimbal)
+        errors = (
+            None if table.errors is None else model_of_table(table.errors, sensor.gimbal, pathlib.Path(path).parent)
+        )
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from error
     stated = table.shots or table.pose

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import pathlib
 from collections.abc import Sequence
 from typing import Any
+
+import jax.numpy as jnp
 
 from jaxgeo.io._schema import ErrorsTable, StatedTable
 from jaxgeo.sensor import Gimbal
@@ -12,10 +16,12 @@ from jaxgeo.uncertainty.datasheet import Stated, circular_error, linear_error, p
 from jaxgeo.uncertainty.distributions import (
     AbstractDistribution,
     Arcsine,
+    Empirical,
     Laplace,
     Mixture,
     StudentT,
     Triangular,
+    TruncatedNormal,
     Uniform,
 )
 from jaxgeo.uncertainty.model import ErrorModel
@@ -28,12 +34,30 @@ PLAIN: dict[str, type[AbstractDistribution]] = {
     "arcsine": Arcsine,
     "laplace": Laplace,
 }
-NAMES = ("normal", *PLAIN, "student-t", "outliers")
-OPTIONS = {"sigmas": ("plus_minus",), "coverage": ("plus_minus",), "probability": ("ce", "le", "se"), "axes": ("rms",)}
+NAMES = ("normal", *PLAIN, "student-t", "outliers", "mixture", "truncated-normal", "empirical")
+OPTIONS = {
+    "sigmas": ("plus_minus",),
+    "coverage": ("plus_minus",),
+    "probability": ("ce", "le", "se", "raster"),
+    "axes": ("rms",),
+    "scale": ("raster",),
+}
+KEYS = {  # of a distribution: those that it needs, all of one of the tuples
+    "student-t": (("df",),),
+    "outliers": (("share", "times"),),
+    "mixture": (("parts",),),
+    "truncated-normal": (("low",), ("high",), ("low", "high")),
+    "empirical": (("residuals",), ("probabilities", "values")),
+}
+WITH_SIGMA = ("mixture", "empirical")  # distributions with a standard deviation of their own
+UNLIMITED = ("laplace", "student-t", "outliers", "mixture", "truncated-normal", "empirical")
 
 
-def model_of_table(table: ErrorsTable, gimbal: Gimbal) -> ErrorModel:
-    """The error model of a table; raises `ValueError` if it does not match the gimbal."""
+def model_of_table(table: ErrorsTable, gimbal: Gimbal, folder: pathlib.Path = pathlib.Path()) -> ErrorModel:
+    """The error model of a table; paths in it are relative to `folder`.
+
+    Raises `ValueError` if it does not match the gimbal, and as `read_height_sigmas` for a raster.
+    """
     found: list[Any] = []
     if table.position_m is not None:
         north, east, down = _each(table.position_m, 3, "position_m", axes=("ce", "ce", "le"))
@@ -50,7 +74,7 @@ def model_of_table(table: ErrorsTable, gimbal: Gimbal) -> ErrorModel:
     if table.lever_body_m is not None:
         forward, right, down = _each(table.lever_body_m, 3, "lever_body_m")
         found.append(sources.LeverArm.from_metres(forward=forward, right=right, down=down))
-    return ErrorModel((*found, *_of_image(table), *_of_ground(table)))
+    return ErrorModel((*found, *_of_image(table), *_of_ground(table, folder)))
 
 
 def _of_image(table: ErrorsTable) -> list[Any]:
@@ -65,15 +89,40 @@ def _of_image(table: ErrorsTable) -> list[Any]:
     return found
 
 
-def _of_ground(table: ErrorsTable) -> list[Any]:
+def _of_ground(table: ErrorsTable, folder: pathlib.Path) -> list[Any]:
     if table.terrain_m is None:
         return []
+    if isinstance(table.terrain_m, StatedTable) and table.terrain_m.raster is not None:
+        return [_of_raster(table, table.terrain_m, folder)]
     (height,) = _each(table.terrain_m, 1, "terrain_m", axes=("le",))
     if table.terrain_correlation_m is None:
         return [sources.TerrainHeight.from_metres(height)]
     sigma, shape = height if isinstance(height, Stated) else (height, None)
     variogram = (sigma, table.terrain_correlation_m)
     return [sources.TerrainField.of_variograms(gaussian=[variogram], distribution=shape)]
+
+
+def _of_raster(table: ErrorsTable, stated: StatedTable, folder: pathlib.Path) -> sources.TerrainHeightRaster:
+    """Terrain heights whose standard deviations are in a raster."""
+    from jaxgeo.io.height_sigmas import read_height_sigmas  # which imports rasterio
+
+    key = "[errors] terrain_m"
+    if table.terrain_correlation_m is not None:
+        raise ValueError(f"{key}: a raster has no terrain_correlation_m; leave one of them out.")
+    amounts = [name for name in AMOUNTS if getattr(stated, name) is not None]
+    if amounts:
+        raise ValueError(f"{key}: a raster states the standard deviation at each place; leave out {amounts[0]}.")
+    assert stated.raster is not None
+    path = folder / stated.raster
+    try:
+        _check_options(stated, ["raster"])
+        return read_height_sigmas(
+            path, scale=stated.scale or 1.0, probability=stated.probability, distribution=_distribution(stated)
+        )
+    except FileNotFoundError:
+        raise ValueError(f"{key}: raster = {stated.raster!r}: there is no such file ({path}).") from None
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from error
 
 
 def _of_axes(kind: Any, key: str, given: Given, gimbal: Gimbal) -> Any:
@@ -115,7 +164,11 @@ def _numbers(given: float | list[float], count: int, key: str) -> list[float]:
 
 def _stated(table: StatedTable, count: int, key: str, axes: Sequence[str]) -> list[Stated]:
     """What a table states of each axis."""
+    if table.raster is not None:
+        raise ValueError("a raster of standard deviations is one of terrain_m.")
     amounts = [name for name in AMOUNTS if getattr(table, name) is not None]
+    if not amounts and table.distribution in WITH_SIGMA:
+        amounts = ["sigma"]
     radii = [name for name in amounts if name in ("ce", "le", "se")]
     if len(amounts) != 1 and not (radii == amounts == ["ce", "le"]):
         known = ", ".join(AMOUNTS[:3]) + (", ce and le, or se" if len(axes) == 3 else ", or le" if axes else "")
@@ -127,12 +180,13 @@ def _stated(table: StatedTable, count: int, key: str, axes: Sequence[str]) -> li
         return [rms(table.rms, axes=table.axes)] * count
     if table.plus_minus is not None:
         shape = table.distribution
-        if shape in ("laplace", "student-t", "outliers"):
+        if shape in UNLIMITED:
             raise ValueError(f'plus_minus goes with distribution = "normal" or one with limits; got {shape!r}.')
         options: Any = {"kind": shape, "sigmas": table.sigmas, "coverage": table.coverage}
         return [plus_minus(value, **options) for value in _numbers(table.plus_minus, count, f"{key}.plus_minus")]
-    assert table.sigma is not None
     shape = _distribution(table)
+    if table.sigma is None:
+        return [Stated(_own_sigma(shape), shape)] * count
     return [Stated(value, shape) for value in _numbers(table.sigma, count, f"{key}.sigma")]
 
 
@@ -141,13 +195,16 @@ def _check_options(table: StatedTable, amounts: list[str]) -> None:
     for name, with_ in OPTIONS.items():
         if getattr(table, name) is not None and not any(amount in with_ for amount in amounts):
             raise ValueError(f"{name} goes with {', '.join(with_)}.")
-    if table.distribution not in (None, "normal") and not {"sigma", "plus_minus"} & set(amounts):
+    if table.distribution not in (None, "normal") and not {"sigma", "plus_minus", "raster"} & set(amounts):
         raise ValueError("distribution goes with sigma or plus_minus; rms, ce, le and se are of normal errors.")
-    wanted = {"df": "student-t", "share": "outliers", "times": "outliers"}
-    for name, shape in wanted.items():
-        if (getattr(table, name) is None) == (table.distribution == shape):
-            verb = "needs" if table.distribution == shape else "alone has"
-            raise ValueError(f'distribution = "{shape}" {verb} {name}.')
+    for shape, ways in KEYS.items():
+        names = list(dict.fromkeys(name for way in ways for name in way))
+        given = tuple(name for name in names if getattr(table, name) is not None)
+        if table.distribution != shape and given:
+            raise ValueError(f'distribution = "{shape}" alone has {given[0]}.')
+        if table.distribution == shape and given not in ways:
+            wanted = " or ".join(" and ".join(way) for way in ways if shape != "truncated-normal" or len(way) == 1)
+            raise ValueError(f'distribution = "{shape}" needs {wanted}; got {", ".join(given) or "none of them"}.')
 
 
 def _of_radii(table: StatedTable, radii: list[str], axes: Sequence[str]) -> list[Stated]:
@@ -165,10 +222,35 @@ def _of_radii(table: StatedTable, radii: list[str], axes: Sequence[str]) -> list
     return [of[name]() for name in axes]
 
 
+def _own_sigma(shape: AbstractDistribution | None) -> float:
+    """Standard deviation of a distribution of `WITH_SIGMA`, in the unit of its values."""
+    assert isinstance(shape, Empirical | Mixture)
+    return float(shape.standard_deviation)
+
+
 def _distribution(table: StatedTable) -> AbstractDistribution | None:
+    shape = _shape(table)
+    if shape is not None:
+        shape.check("distribution")
+    return shape
+
+
+def _shape(table: StatedTable) -> AbstractDistribution | None:
+    """The distribution of a table that has the keys of its kind."""
     name, share, times = table.distribution, table.share, table.times
     if name is None or name == "normal":
         return None
+    if name == "truncated-normal":
+        return TruncatedNormal(
+            -math.inf if table.low is None else table.low, math.inf if table.high is None else table.high
+        )
+    if name == "empirical":
+        if table.residuals is not None:
+            return Empirical.of_residuals(table.residuals)
+        return Empirical(jnp.asarray(table.probabilities), jnp.asarray(table.values))
+    if table.parts is not None:
+        columns = ([getattr(part, key) for part in table.parts] for key in ("share", "sigma", "mean"))
+        return Mixture(*(jnp.asarray(column, jnp.float64) for column in columns))
     if name == "student-t":
         if table.df is not None and table.df <= 2.0:
             raise ValueError(f"df must be above 2, for there to be the standard deviation sigma; got {table.df:g}.")

@@ -24,7 +24,7 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, of_arrays
-from jaxgeo.uncertainty.sources import TerrainField
+from jaxgeo.uncertainty.sources import TerrainField, TerrainHeightRaster
 
 ALONE = 10.0  # standard deviations of a lone tie: largest prior uncertainty of its pixel
 HUBER, FULL_JACOBIAN = Huber(), FullJacobian()
@@ -126,6 +126,11 @@ def _first(values: Any, count: int) -> Any:
 
 def _check_sources(model: ErrorModel) -> None:
     for number, source in enumerate(model.sources):
+        if isinstance(source, TerrainHeightRaster):
+            raise ValueError(
+                f"errors[{number}] is a TerrainHeightRaster, which differs from tie to tie; state what is common to "
+                "all as a TerrainHeight, and the rest as TieErrors(terrain_field=...)."
+            )
         if isinstance(source, TerrainField):
             raise ValueError(
                 f"errors[{number}] is a TerrainField, which is an error along one line of sight; for the ground at the "

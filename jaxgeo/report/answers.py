@@ -49,7 +49,7 @@ def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
 def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     """Accuracy of a fix, its method and reason, and what samples say of it."""
     if subject.accuracy is None or not subject.is_fix[detail.index]:
-        return {"verdict": "", "because": detail.unsure, "agreed": ""}
+        return {"verdict": "", "because": detail.unsure, "agreed": "", "region": "", "drawn": ""}
     one, index = subject.accuracy, detail.index
     percent = words.percent_name(subject.probability)
     radii = (
@@ -61,7 +61,17 @@ def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     method = Method(int(np.asarray(one.method)[index]))
     agreed = "" if detail.checked is None else detail.checked.words
     said = {"figures": figures, "method": method.words, "verdict": VERDICTS[method], "because": row["accuracy_text"]}
-    return said | {"agreed": agreed}
+    return said | {"agreed": agreed, **_region(detail, method)}
+
+
+def _region(detail: Detail, method: Method) -> dict[str, str]:
+    """The region of the samples in words, and which areas are drawn."""
+    if detail.region is None:
+        return {"region": detail.no_region, "drawn": ""}
+    if method == Method.samples:
+        return {"region": detail.region.words, "drawn": "The map shows this region; an ellipse would be wrong."}
+    drawn = "The map shows the ellipse of linear propagation, and this region of the samples that check it."
+    return {"region": detail.region.words, "drawn": drawn}
 
 
 def _mgrs(lat: float, lon: float) -> str | None:

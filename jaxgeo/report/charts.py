@@ -13,8 +13,8 @@ from jaxgeo.plot.sightline import Section
 from jaxgeo.plot.style import BLUE, EARTH, INK, JUMPED, MUTED, SHADE, SIGHT, SKY, VERMILLION
 from jaxgeo.report import words
 from jaxgeo.report.details import Detail
-from jaxgeo.report.map import dress
-from jaxgeo.report.places import samples_of
+from jaxgeo.report.map import draw_region, dress
+from jaxgeo.report.places import rings_of, samples_of
 from jaxgeo.uncertainty import Accuracy
 
 MOST_POINTS = 900  # per section, enough for a screen
@@ -90,7 +90,9 @@ def _hits(chart: Any, section: Section, scale: float) -> None:
 
 
 def cloud_chart(detail: Detail, name: str, probability: float = 0.9) -> Any:
-    """Chart of the sampled errors of a fix, m east and north, with its ellipse and circle; None without samples."""
+    """Chart of the sampled errors of a fix, m east and north, with their highest-density region, the ellipse where it
+    is valid, and the circle; None without samples.
+    """
     points, jumped = samples_of(detail, MOST_DOTS)
     if detail.checked is None or not len(points):
         return None
@@ -99,13 +101,15 @@ def cloud_chart(detail: Detail, name: str, probability: float = 0.9) -> Any:
     circles = [radius] if math.isfinite(radius) else []
     away = np.abs(points[:, :2]).max(axis=1)
     reach = max([float(np.quantile(away[kind], SHOWN)) for kind in (~jumped, jumped) if kind.any()])
-    half = 1.06 * max(min(reach, FAR * max(circles, default=math.inf)), *circles, 1e-3)
+    regions = [] if detail.region is None else [float(np.abs(detail.region.polygon_enu.bounds).max())]
+    half = 1.06 * max(min(reach, FAR * max(circles, default=math.inf)), *circles, *regions, 1e-3)
     chart = _empty(name, "east, m", "north, m", Range1d(start=-half, end=half), Range1d(start=-half, end=half))
     dots = [_dots(chart, points[~jumped], SKY)]
     if jumped.any():
         dots.append(_dots(chart, points[jumped], JUMPED))
     tip = [("east", "@x{0.00} m"), ("north", "@y{0.00} m"), ("up", "@up{0.00} m"), ("horizontal", "@off{0.00} m")]
     chart.add_tools(HoverTool(renderers=dots, tooltips=tip, point_policy="snap_to_data", limit=1, visible=False))
+    _region(chart, detail, probability)
     lines = _curves(chart, answer, probability, radius)
     chart.add_tools(HoverTool(renderers=lines, tooltips=[("", "@what")], line_policy="interp", visible=False))
     chart.scatter([0.0], [0.0], marker="cross", size=16, line_color=INK, line_width=2)
@@ -116,6 +120,15 @@ def _dots(chart: Any, points: np.ndarray, colour: str) -> Any:
     off = np.hypot(points[:, 0], points[:, 1])
     source = {"x": points[:, 0], "y": points[:, 1], "up": points[:, 2], "off": off}
     return chart.scatter("x", "y", source=source, size=3.5, fill_color=colour, line_color=None, fill_alpha=0.6)
+
+
+def _region(chart: Any, detail: Detail, probability: float) -> None:
+    """Draw the region of the samples, piece by piece."""
+    if detail.region is None:
+        return
+    lines = draw_region(chart, [(*rings_of(mode.polygon_enu), mode.words) for mode in detail.region.modes])
+    tip = [("", f"{words.percent_name(probability)} % region of samples"), ("", "@what")]
+    chart.add_tools(HoverTool(renderers=[lines], tooltips=tip, visible=False))
 
 
 def _curves(chart: Any, answer: Accuracy, probability: float, radius: float) -> list[Any]:

@@ -146,6 +146,10 @@ class ReportData:
         """Mask (n,) of pixels with coordinates."""
         return np.isfinite(np.asarray(self.fixes.slant_range))
 
+    def has_ellipse(self, index: int) -> bool:
+        """Whether linear propagation is valid at a pixel, so that its error is an ellipse."""
+        return self.accuracy is not None and bool(np.isfinite(np.asarray(self.accuracy.cov_enu)[index]).all())
+
     def name(self, index: int) -> str:
         """Display name of a pixel: its name, if any, with column and row."""
         u, v = np.asarray(self.uv)[index]

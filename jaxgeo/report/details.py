@@ -19,7 +19,7 @@ from jaxgeo.plot.sightline import Section, section_under
 from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 from jaxgeo.terrain import ConstantHeight, Dem
-from jaxgeo.uncertainty import AccuracyCheck, Budget, ErrorModel, Sampling, budget, check_accuracy
+from jaxgeo.uncertainty import AccuracyCheck, Budget, ErrorModel, Region, Sampled, Sampling, budget, check_accuracy
 
 SAMPLES = 20_000  # same number and key as in `accuracy`, hence the same samples
 ON_A_SIDE = 24  # points per image edge located on the ground
@@ -31,7 +31,8 @@ class Detail(NamedTuple):
     """Details of one pixel; missing parts are None, `unsure` is the reason why there is no accuracy.
 
     `chosen` is the reason why it is shown, if not all are. `outline` (m, 2) is the footprint outline, longitude and
-    latitude in deg, NaN where no ground is seen.
+    latitude in deg, NaN where no ground is seen. `region` is the highest-density region of the samples at the
+    probability of the report, `no_region` the reason why samples have none.
     """
 
     index: int
@@ -41,16 +42,19 @@ class Detail(NamedTuple):
     checked: AccuracyCheck | None = None
     budget: Budget | None = None
     unsure: str = ""
+    region: Region | None = None
+    no_region: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
         content: dict[str, Any] = {"index": self.index}
         content |= {"budget": None if self.budget is None else self.budget.to_dict()}
         if self.checked is None:
-            return content | {"samples": None, "because": self.unsure}
+            return content | {"samples": None, "because": self.unsure, "region": None}
         one = self.checked
         shares = {"within": one.within._asdict(), "jumped": one.jumped, "failed": one.sampled.failed}
-        return content | {"samples": {"count": one.sampled.count, **shares}}
+        region = {"because": self.no_region} if self.region is None else region_numbers(self.region)
+        return content | {"samples": {"count": one.sampled.count, **shares}, "region": region}
 
 
 def details_of(subject: ReportData, *, most: int = 3) -> list[Detail]:
@@ -98,12 +102,44 @@ def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
     options: dict[str, Any] = {"sampling": Sampling(count=SAMPLES), "atmosphere": subject.atmosphere}
     checked = check_accuracy(sensor, shot, uv, terrain, model, probability=subject.probability, **options)
+    region, no_region = region_of(checked.sampled, subject.probability)
+    detail = detail._replace(checked=checked, region=region, no_region=no_region)
     linear = checked.accuracy.propagation
     if linear is None or not np.isfinite(np.asarray(linear.cov_enu)).all():
-        return detail._replace(
-            checked=checked, unsure="The ground slope is undefined here, so errors cannot be propagated."
-        )
-    return detail._replace(checked=checked, budget=budget(checked.accuracy))
+        return detail._replace(unsure="The ground slope is undefined here, so errors cannot be propagated.")
+    return detail._replace(budget=budget(checked.accuracy))
+
+
+def region_of(sampled: Sampled, probability: float) -> tuple[Region | None, str]:
+    """(highest-density region of samples, or None; the reason why there is none)."""
+    try:
+        return sampled.region(probability), ""
+    except ValueError as error:  # too few samples with ground, or a region about a pole
+        reason = str(error)
+        return None, reason[:1].upper() + reason[1:]
+
+
+def region_numbers(region: Region) -> dict[str, Any]:
+    """Plain numbers and strings of a region and its pieces."""
+    pieces = [
+        {
+            "share": mode.share._asdict(),
+            "area_m2": mode.area,
+            "distance_m": mode.distance,
+            "azimuth_deg": math.degrees(mode.azimuth),
+            "rise_m": mode.rise,
+            "words": mode.words,
+        }
+        for mode in region.modes
+    ]
+    shares = {"inside": region.inside._asdict(), "without_ground": region.without_ground._asdict()}
+    return {
+        "probability": region.probability,
+        "area_m2": region.area,
+        **shares,
+        "words": region.words,
+        "pieces": pieces,
+    }
 
 
 def _section(subject: ReportData, index: int, ray: Ray, terrain: Any) -> Section | None:

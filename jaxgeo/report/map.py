@@ -10,15 +10,16 @@ from bokeh.models import BoxZoomTool, ColumnDataSource, HoverTool, PanTool, Rang
 from bokeh.models.annotations.dimensional import ImperialLength
 from bokeh.plotting import figure
 
-from jaxgeo.plot.style import BLUE, HAIR, INK, JUMPED, MUTED, PURPLE, SHADE, SIGHT, SKY, VERMILLION
+from jaxgeo.plot.style import BLUE, HAIR, INK, JUMPED, MUTED, PURPLE, REGION, SHADE, SIGHT, SKY, VERMILLION
 from jaxgeo.report import words
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
 from jaxgeo.report.ground import Box, Relief, metres_per_degree
-from jaxgeo.report.places import Places, cloud_of, ellipse_of, unwrapped
+from jaxgeo.report.places import Places, cloud_of, ellipse_of, rings_of, unwrapped
 
 Row = Mapping[str, Any]
 MOST_ELLIPSES = 600
+REGION_FILL = 0.22  # opacity of regions
 FIX_TIP = [
     ("", "@name"),
     ("latitude", "@lat"),
@@ -44,6 +45,7 @@ def map_of(
     _outlines(chart, details, places)
     _sights(chart, subject, places)
     _clouds(chart, subject, details)
+    _regions(chart, details, places)
     _ellipses(chart, subject, details, places)
     _cameras(chart, subject, places)
     _fixes(chart, subject, rows, places)
@@ -142,11 +144,40 @@ def _clouds(chart: Any, subject: ReportData, details: Sequence[Detail]) -> None:
                 chart.scatter(cloud[which, 0], cloud[which, 1], name="samples", **style)
 
 
+def _regions(chart: Any, details: Sequence[Detail], places: Places) -> None:
+    """Draw the regions of the samples, piece by piece."""
+    modes = [mode for detail in details if detail.region is not None for mode in detail.region.modes]
+    rings = [(*rings_of(mode.polygon), mode.words) for mode in modes]
+    if rings:
+        middle = places.box.centre[0]  # no tip: the fix lies within, and has one
+        draw_region(chart, [([unwrapped(x, middle) for x in xs], ys, text) for xs, ys, text in rings])
+
+
+def draw_region(chart: Any, pieces: Sequence[tuple[list[np.ndarray], list[np.ndarray], str]]) -> Any:
+    """Draw pieces of regions of samples, (x and y of their rings, words); returns the outlines, with `what` of each."""
+    chart.multi_polygons(
+        [[xs] for xs, _, _ in pieces],
+        [[ys] for _, ys, _ in pieces],
+        line_color=None,
+        fill_color=REGION,
+        fill_alpha=REGION_FILL,
+        name="region",
+    )
+    source = {
+        "xs": [x for xs, _, _ in pieces for x in xs],
+        "ys": [y for _, ys, _ in pieces for y in ys],
+        "what": [text for xs, _, text in pieces for _ in xs],
+    }
+    style: dict[str, Any] = {"line_color": REGION, "line_width": 1.8, "name": "region"}
+    return chart.multi_line("xs", "ys", source=ColumnDataSource(source), **style)
+
+
 def _ellipses(chart: Any, subject: ReportData, details: Sequence[Detail], places: Places) -> None:
     by_index = {detail.index: detail for detail in details}
     shown = places.index if len(places.index) <= MOST_ELLIPSES else np.array(sorted(by_index), int)
     found = [(int(i), ellipse_of(subject, int(i), by_index.get(int(i)))) for i in shown]
-    ellipses = [(index, one) for index, one in found if one is not None]
+    with_region = {index for index, detail in by_index.items() if detail.region is not None}
+    ellipses = [(i, one) for i, one in found if one is not None and (one.is_linear or i not in with_region)]
     if not ellipses:
         return
     source = {

@@ -21,7 +21,7 @@ from markupsafe import Markup
 from jaxgeo._destination import destination
 from jaxgeo.io._fix_columns import figures_of, rows_of
 from jaxgeo.io.registration_report import versions
-from jaxgeo.plot.style import INK, JUMPED, PURPLE, SIGHT, SKY, VERMILLION
+from jaxgeo.plot.style import INK, JUMPED, PURPLE, REGION, SIGHT, SKY, VERMILLION
 from jaxgeo.report import words
 from jaxgeo.report.answers import answer_of, camera_of, summary_of
 from jaxgeo.report.budgets import budget_of
@@ -35,6 +35,7 @@ from jaxgeo.report.table import table_of
 from jaxgeo.terrain import Dem
 
 CLOSE = 6.0  # half side of the close-up of a fix, times the major semi-axis
+ROOM = 2.5  # half side of the close-up, at least, times the reach of the region of samples
 LEAST_CLOSE = 60.0  # m, least half side of the close-up
 CLOSE_ACROSS = 600  # pixels of the close-up image
 LAYERS = (  # key, label, (swatch kind, colour)
@@ -43,7 +44,8 @@ LAYERS = (  # key, label, (swatch kind, colour)
     ("sight", "line of sight", ("line", SIGHT)),
     ("camera", "camera", ("dot", SIGHT)),
     ("samples", "samples", ("dot", SKY)),
-    ("ellipse", "error ellipse", ("ring", VERMILLION)),
+    ("region", "region of samples", ("area", REGION)),
+    ("ellipse", "error ellipse (linear), or circle of samples", ("ring", VERMILLION)),
     ("fix", "fix", ("dot", VERMILLION)),
 )
 
@@ -104,6 +106,7 @@ def report_html(
             layers=[layer for layer in LAYERS if _is_there(charts["map"], layer[0])],
             has_jumped=any(one["has_jumped"] for one in shown),
             jumped_colour=JUMPED,
+            region_colour=REGION,
             track_colour=None if places.is_one_camera else PURPLE,
             zooms=_zooms(subject, details, places),
             has_ground=isinstance(subject.terrain, Dem),
@@ -138,13 +141,14 @@ def _ground(subject: ReportData, details: Sequence[Detail], places: Places) -> t
 
 
 def close_to(subject: ReportData, detail: Detail) -> Box | None:
-    """Box around a fix, somewhat larger than its error ellipse; None without a fix."""
+    """Box around a fix, somewhat larger than its error ellipse and its region of samples; None without a fix."""
     if not subject.has_place[detail.index]:
         return None
     position = subject.fix(detail.index).position
     lon, lat = np.rad2deg(float(position.lon)), np.rad2deg(float(position.lat))
     ring = ellipse_of(subject, detail.index, detail)
-    half = max(LEAST_CLOSE, CLOSE * (0.0 if ring is None else ring.major))
+    reach = 0.0 if detail.region is None else ROOM * float(np.abs(detail.region.polygon_enu.bounds).max())
+    half = max(LEAST_CLOSE, CLOSE * (0.0 if ring is None else ring.major), reach)
     east, north = metres_per_degree(lat)
     return Box(lon - half / east, lat - half / north, lon + half / east, lat + half / north)
 
@@ -166,6 +170,8 @@ def _shown(
         "section": detail.section,
         "has_section": section is not None,
         "has_cloud": cloud is not None,
+        "has_region": detail.region is not None,
+        "has_ellipse": subject.has_ellipse(detail.index),
         "has_jumped": detail.checked is not None and detail.checked.jumped > 0.0,
         "budget": None if detail.budget is None else budget_of(detail.budget),
         "unsure": detail.unsure,

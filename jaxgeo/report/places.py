@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -36,13 +36,17 @@ class Places(NamedTuple):
 
 
 class Ellipse(NamedTuple):
-    """Error ellipse: ring (n, 2) in deg, semi-axes in m, azimuth of the major axis in deg, description."""
+    """Error ellipse: ring (n, 2) in deg, semi-axes in m, azimuth of the major axis in deg, description.
+
+    `is_linear` is false for the circle of a fix without a covariance.
+    """
 
     ring: np.ndarray
     major: float
     minor: float
     azimuth_deg: float
     what: str
+    is_linear: bool = True
 
 
 def places_of(subject: ReportData, details: Sequence[Detail]) -> Places:
@@ -53,7 +57,8 @@ def places_of(subject: ReportData, details: Sequence[Detail]) -> Places:
     fix = np.stack([np.rad2deg(np.asarray(x)[index]) for x in (position.lon, position.lat)], axis=-1)
     pixels = index if len(index) else np.arange(min(len(subject), MOST_FIXES))
     camera = _cameras(subject, pixels)
-    every = [fix, camera, *(detail.outline for detail in details)]
+    regions = [np.array(one.region.polygon.bounds).reshape(2, 2) for one in details if one.region is not None]
+    every = [fix, camera, *(detail.outline for detail in details), *regions]
     whole = np.concatenate([part[np.isfinite(part).all(axis=1)] for part in every])
     if not len(whole):
         return Places(index, fix, camera, Box(-1.0, -1.0, 1.0, 1.0))
@@ -101,7 +106,7 @@ def ellipse_of(subject: ReportData, index: int, detail: Detail | None) -> Ellips
     if not math.isfinite(radius):
         return None
     what = f"{level} circle, sampled" if detail is None else f"{level} circle, from the samples shown"
-    return Ellipse(_ring(subject, index, np.zeros(2), radius, radius, 0.0), radius, radius, 0.0, what)
+    return Ellipse(_ring(subject, index, np.zeros(2), radius, radius, 0.0), radius, radius, 0.0, what, False)
 
 
 def _ring(
@@ -124,6 +129,12 @@ def around(subject: ReportData, index: int, east: np.ndarray, north: np.ndarray)
     )
     turned = lon + east / ((N + height) * max(math.cos(lat), 1e-9)), lat + north / (M + height)
     return np.rad2deg(np.stack(turned, axis=-1))
+
+
+def rings_of(polygon: Any) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """(x, y) of the outer ring of a polygon, then of its holes, as bokeh draws them."""
+    rings = [np.asarray(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
+    return [ring[:, 0] for ring in rings], [ring[:, 1] for ring in rings]
 
 
 def cloud_of(subject: ReportData, detail: Detail) -> tuple[np.ndarray, np.ndarray]:

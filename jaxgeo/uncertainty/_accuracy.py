@@ -120,6 +120,7 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
+    model.check_at(nominal)
     found = diagnose(inputs, nominal, model)
     diagnostics, facet, footprint, profile = found
     code = _select_method(diagnostics) if model.is_normal else _method_of(found)

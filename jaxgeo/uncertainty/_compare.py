@@ -131,6 +131,7 @@ def compare(
     sampling = resolve_sampling(sampling, SAMPLES)
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
+    model.check_at(nominal)
     sampler = Sampler.of(inputs, nominal, model, search, sampling)
     drawn = sampler.drawn(keep=True)
     _, facet, footprint, profile = diagnose(inputs, nominal, model)

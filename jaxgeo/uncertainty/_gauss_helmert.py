@@ -42,7 +42,9 @@ def gauss_helmert(
     the result NaN or infinite. Raises as `propagate`.
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return _gauss_helmert(inputs, inputs.nominal_fix(search), checked_model(errors, inputs))
+    nominal, model = inputs.nominal_fix(search), checked_model(errors, inputs)
+    model.check_at(nominal)
+    return _gauss_helmert(inputs, nominal, model)
 
 
 @quick_filter_jit

@@ -72,7 +72,9 @@ def sigma_points(
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs, moments=4)
-    return sigma_moments(inputs, inputs.nominal_fix(search), model, search)
+    nominal = inputs.nominal_fix(search)
+    model.check_at(nominal)
+    return sigma_moments(inputs, nominal, model, search)
 
 
 @quick_filter_jit
@@ -174,7 +176,9 @@ def second_order(
     normal count with their skewness and kurtosis. Raises as `sigma_points`.
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return second_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs, moments=4))
+    nominal, model = inputs.nominal_fix(search), checked_model(errors, inputs, moments=4)
+    model.check_at(nominal)
+    return second_moments(inputs, nominal, model)
 
 
 @quick_filter_jit

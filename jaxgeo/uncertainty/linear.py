@@ -121,7 +121,9 @@ def propagate(
     CE90 11.52 m, LE90 3.29 m
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return propagate_linear(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), slope)
+    nominal, model = inputs.nominal_fix(search), checked_model(errors, inputs)
+    model.check_at(nominal)
+    return propagate_linear(inputs, nominal, model, slope)
 
 
 def propagate_linear(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:

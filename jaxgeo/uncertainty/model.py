@@ -187,6 +187,11 @@ class ErrorModel(Record):
         by_error, base = jax.jacfwd(reached, has_aux=True)(jnp.zeros(self.size))
         return base, by_error
 
+    def check_at(self, nominal: NominalFix) -> None:
+        """Raise `ValueError` for a source that is unknown at a fix; traced fixes pass."""
+        for source in self.sources:
+            source.check_at(nominal)
+
     def check(self, inputs: ModelInputs) -> None:
         """Raise as the sources do for invalid values, and for a source that does not apply to the observation."""
         for source in self.sources:

@@ -117,6 +117,7 @@ def sample(
     nominal = inputs.nominal_fix(search)
     refuse_traced("sample", nominal)  # inside of jit, if all arguments are constants of its program
     nominal.require_fix()
+    model.check_at(nominal)
     wanted = Wanted(tuple(figures), keep, summary)
     is_shared = resolved.devices is None and jax.process_count() > 1
     draw = _draw_together if is_shared else _draw

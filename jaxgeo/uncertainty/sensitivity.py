@@ -174,6 +174,7 @@ def sobol_indices(
     _check_request(options, confidence, resamples)
     plan = make_plan(inputs, inputs.nominal_fix(search), model)
     plan.nominal.require_fix()
+    model.check_at(plan.nominal)
     names, members = groups_of(model, by_axis)
     push = lambda normals: offsets_of(plan, normals, search)  # noqa: E731
     offsets, found = evaluate(push, draws, key, members, count, options.chunk)

@@ -13,10 +13,12 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxgeo.io import undulation
+from jaxgeo.io import undulation, write_errors
 from jaxgeo.io.scene import SceneError, load_scene, read_scene
 from jaxgeo.sensor import BrownConrady, FrameCamera
-from jaxgeo.uncertainty.sources import TerrainField
+from jaxgeo.uncertainty import ErrorModel
+from jaxgeo.uncertainty.distributions import Empirical, Laplace, Mixture, StudentT, TruncatedNormal
+from jaxgeo.uncertainty.sources import Position, TerrainField
 
 GOOD = """
 title = "a test"
@@ -366,6 +368,37 @@ def test_errors_that_do_not_fit_the_gimbal(scene_file, kind: str, errors: str, w
         ('gimbal_deg = {sigma = 0.1, distribution = "student-t", df = 5}', [0.1, 0.1], "Student-t with 5 degrees of"),
         ('gimbal_deg = {sigma = 0.1, distribution = "outliers", share = 0.1, times = 5}', [0.1, 0.1], "a mixture of 2"),
         ("gimbal_deg = {sigma = 0.1}", [0.1, 0.1], None),
+        (
+            'gimbal_deg = {sigma = 0.1, distribution = "truncated-normal", low = -2, high = 1}',
+            [0.1, 0.1],
+            "normal trun",
+        ),
+        (
+            'gimbal_deg = {sigma = 0.1, distribution = "truncated-normal", high = 3}',
+            [0.1, 0.1],
+            "normal truncated to -i",
+        ),
+        (
+            'gimbal_deg = {distribution = "empirical", residuals = [0.1, -0.1, 0.1, -0.1]}',
+            [0.1 * (5 / 6) ** 0.5] * 2,
+            "empirical",
+        ),
+        (
+            'gimbal_deg = {sigma = 0.2, distribution = "empirical", residuals = [1, 2, 4]}',
+            [0.2, 0.2],
+            "empirical with 5",
+        ),
+        (
+            'gimbal_deg = {distribution = "empirical", probabilities = [0, 1], values = [0, 6]}',
+            [3**0.5] * 2,
+            "empirical",
+        ),
+        (
+            'gimbal_deg = {distribution = "mixture", parts = [{share = 0.5, sigma = 3, mean = -4}, '
+            "{share = 0.5, sigma = 3, mean = 4}]}",
+            [5.0, 5.0],
+            "a mixture of 2",
+        ),
     ],
 )
 def test_errors_as_data_sheets_state_them(scene_file, errors: str, sigma: list[float], shape: str | None) -> None:
@@ -375,6 +408,38 @@ def test_errors_as_data_sheets_state_them(scene_file, errors: str, sigma: list[f
     np.testing.assert_allclose(np.rad2deg(np.asarray(source.sigma)), sigma, rtol=1e-9)
     for one in source.shapes:
         assert one is None if shape is None else one.words.startswith(shape)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        TruncatedNormal(-2.0, 1.0),
+        TruncatedNormal(-np.inf, 3.0),
+        Empirical.of_residuals([-0.3, 0.1, 0.4, 2.0]),
+        Mixture.of_outliers(share=0.1, times=5.0),
+        Mixture(np.array([0.25, 0.75]), np.array([1.0, 2.0]), np.array([3.0, -1.0])),
+        StudentT(5.0),
+        Laplace(),
+    ],
+    ids=lambda shape: shape.words,
+)
+def test_distributions_are_written_and_read_back(scene_file, tmp_path: pathlib.Path, shape) -> None:
+    given = Position.from_ned(north=1.0, east=2.0, down=3.0, distribution=shape)
+    write_errors(tmp_path / "errors.toml", ErrorModel((given,)))
+    model = read_scene(scene_file(GOOD + (tmp_path / "errors.toml").read_text())).errors
+    assert model is not None
+    (found,) = model.sources
+    np.testing.assert_array_equal(found.sigma, given.sigma)
+    normal = jnp.linspace(-3.0, 3.0, 7)
+    for one in found.shapes:
+        assert type(one) is type(shape)
+        np.testing.assert_allclose(one.standardised(normal), shape.standardised(normal), rtol=1e-12, atol=1e-12)
+
+
+def test_distributions_without_a_form_are_refused(tmp_path: pathlib.Path) -> None:
+    mixed = Position.from_ned(north=1.0, east=2.0, down=3.0, distribution=(Laplace(), None, TruncatedNormal(-1.0, 1.0)))
+    with pytest.raises(SceneError, match="no form in a scene file"):
+        write_errors(tmp_path / "errors.toml", ErrorModel((mixed,)))
 
 
 def test_radii_of_positions_and_heights_are_sigmas(scene_file) -> None:
@@ -417,6 +482,24 @@ def test_radii_of_positions_and_heights_are_sigmas(scene_file) -> None:
         ("position_m = {ce = 1.5, le = 2.0}", ["position_m", "0.5 (CEP): sigma 1.274"]),
         ("position_m = {ce = 1.5, le = 2.0, probability = 90}", ["position_m: probability must lie between 0 and 1"]),
         ("terrain_m = {le = 5.0, distribution = 'uniform', probability = 0.9}", ["distribution goes with sigma"]),
+        ("terrain_m = {sigma = 1.0, distribution = 'truncated-normal'}", ["needs low or high; got none of them"]),
+        ("terrain_m = {distribution = 'truncated-normal', low = -1}", ["give one of sigma, plus_minus", "got none"]),
+        ("terrain_m = {plus_minus = 1.0, distribution = 'truncated-normal', low = -1}", ["plus_minus goes with"]),
+        ("terrain_m = {sigma = 1.0, distribution = 'truncated-normal', low = 2, high = 1}", ["low below high, in"]),
+        ("terrain_m = {sigma = 1.0, distribution = 'laplace', low = 2}", ['"truncated-normal" alone has low']),
+        ("terrain_m = {sigma = 1.0, residuals = [1.0, 2.0]}", ['"empirical" alone has residuals']),
+        ("terrain_m = {distribution = 'empirical', residuals = [1.0]}", ["terrain_m] residuals", "at least 2 items"]),
+        ("terrain_m = {distribution = 'empirical', residuals = [1.0, 1.0]}", ["are all 1, which leaves no error"]),
+        ("terrain_m = {distribution = 'empirical', values = [1.0, 2.0]}", ["residuals or probabilities and values"]),
+        ("terrain_m = {distribution = 'empirical', probabilities = [0, 0.5], values = [0, 1]}", ["must begin with 0"]),
+        ("terrain_m = {distribution = 'empirical', probabilities = [0, 1], values = [0, 1, 2]}", ["a value for each"]),
+        ("terrain_m = {distribution = 'mixture'}", ['distribution = "mixture" needs parts']),
+        ("terrain_m = {distribution = 'mixture', parts = [{share = 0.5, sigma = 1}]}", ["positive and sum to 1"]),
+        ("terrain_m = {distribution = 'mixture', parts = [{share = 1.0}]}", ["sigma is missing"]),
+        ("gimbal_deg = {raster = 'x.tif'}", ["gimbal_deg: a raster of standard deviations is one of terrain_m"]),
+        ("terrain_m = {sigma = 1.0, raster = 'x.tif'}", ["leave out sigma"]),
+        ("terrain_m = {sigma = 1.0, scale = 2.0}", ["scale goes with raster"]),
+        ("terrain_m = {raster = 'nowhere.tif'}", ["terrain_m: raster = 'nowhere.tif': there is no such file"]),
     ],
 )  # fmt: skip
 def test_mistakes_about_stated_errors_are_named(scene_file, errors: str, words: list[str]) -> None:

@@ -3,6 +3,11 @@
 The printed figures of its Monte Carlo method are from samples, and their intervals are good to some units of the last
 digit: each is held to its last digit where the exact value rounds to it, and else to what its own samples leave open.
 Exact values are by quadrature here.
+
+Other software's tests hold the same printed figures of tables 2 and 3 (Suncal, phonometry, fullseye), and of 9.4 the
+three intervals of independent quantities (fullseye) and the standard deviations 50, 67 and 121 (an evaluation of
+GUM-5 examples, DB48X). The figures of 9.2.4, 9.3, the intervals of correlated quantities and 9.5 were not compared with
+another copy.
 """
 
 from __future__ import annotations

@@ -60,6 +60,11 @@ class Mixture(AbstractDistribution):
         """Standard deviation of the whole for a sigma of the first part of one."""
         return self._mean_and_sigma()[1] / jnp.asarray(self.sigmas)[0]
 
+    @property
+    def standard_deviation(self) -> Scalar:
+        """Standard deviation of the whole, in the unit of `sigmas` and `means`."""
+        return self._mean_and_sigma()[1]
+
     def standardised(self, normal: Numbers) -> Numbers:
         logs, middles, scales = self._standard_parts()
         flat = normal.reshape(-1)

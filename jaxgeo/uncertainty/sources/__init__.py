@@ -5,6 +5,7 @@ from jaxgeo.uncertainty.sources.base import AbstractSource
 from jaxgeo.uncertainty.sources.correlated import Correlated
 from jaxgeo.uncertainty.sources.gimbal import GimbalAngles, GimbalMounting
 from jaxgeo.uncertainty.sources.ground import Geoid, TerrainField, TerrainHeight
+from jaxgeo.uncertainty.sources.height_raster import TerrainHeightRaster
 from jaxgeo.uncertainty.sources.image import Distortion, InteriorOrientation, PixelMeasurement
 from jaxgeo.uncertainty.sources.platform import (
     Attitude,
@@ -33,6 +34,7 @@ __all__ = [
     "Refraction",
     "TerrainField",
     "TerrainHeight",
+    "TerrainHeightRaster",
     "TimeTag",
     "Velocity",
 ]

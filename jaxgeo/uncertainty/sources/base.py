@@ -98,8 +98,9 @@ class AbstractSource(Record):
 
     def cross_covariance(self, there: Any, when: tuple[Occasion, Occasion]) -> Covariance:
         """Covariance between this error vector (rows) and that of the same source at another observation (columns)."""
-        del there
-        return self.sharing.correlation(*when) * self.covariance()
+        sigma, other = jnp.asarray(self.sigma), jnp.asarray(there.sigma)
+        unit = jnp.eye(sigma.shape[0]) if self.correlation is None else jnp.asarray(self.correlation)
+        return self.sharing.correlation(*when) * (sigma[:, None] * unit * other[None, :])
 
     @abstractmethod
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
@@ -108,6 +109,10 @@ class AbstractSource(Record):
     def check(self, inputs: ModelInputs) -> None:
         """Raise `ValueError` if the source cannot act on an observation, `TypeError` if it does not apply to it."""
         del inputs
+
+    def check_at(self, nominal: NominalFix) -> None:
+        """Raise `ValueError` if the source is unknown at a fix that is not traced."""
+        del nominal
 
     def check_numbers(self) -> None:
         """Raise `ValueError` for a sigma that is negative or not finite, an invalid correlation or distribution, and
