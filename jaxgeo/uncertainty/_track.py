@@ -57,7 +57,8 @@ def track(
     `filtered` is a recursive estimate after each look, linearised at what was known by then, with the errors that are
     not fresh as states. Nothing is known of the target before the first look. Both are exact, and equal at the last
     look, if the problem is linear. Of errors that are not normal the variance is used (see `note`). The time grows in
-    proportion to the number of looks, and other numbers of looks use the same compiled programs.
+    proportion to the number of looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all
+    larger numbers.
 
     A look without a fix, or without a line of sight if the target is free in height, is left out and keeps its
     status; so are looks that graze the terrain. If the looks do not determine the position (free in height, from one
