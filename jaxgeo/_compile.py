@@ -110,14 +110,14 @@ def one_program(function: T) -> T:
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        return (whole if is_direct((args, options)) else function)(*args, **options)
+        return (whole if is_direct() else function)(*args, **options)
 
     return call  # pyright: ignore
 
 
-def is_direct(inputs: Any) -> bool:
-    """Whether a call with `inputs` is by itself, not part of a program, of a `vmap` or of derivatives."""
-    return trace_state_clean() and is_known(inputs)
+def is_direct() -> bool:
+    """Whether a call is by itself, not part of a program, of a `vmap` or of derivatives: then nothing is traced."""
+    return trace_state_clean()
 
 
 def batch_filter_jit(function: T) -> T:
@@ -146,7 +146,7 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        if not is_direct((args, options)):
+        if not is_direct():
             return usual(*args, **options)
         folder = folder_in_use()
         with RARE_COLLECTION:

@@ -40,6 +40,6 @@ def spherical_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Num
 
 def _at_hand(cov: Any, bias: Any) -> tuple[Any, Any]:
     """A few numbers that are not traced as NumPy arrays, of which taking a part compiles nothing."""
-    if is_direct((cov, bias)) and bias.size <= 3 * MOST:
+    if is_direct() and bias.size <= 3 * MOST:
         return np.asarray(cov), np.asarray(bias)
     return cov, bias

@@ -27,7 +27,7 @@ def host_radii(cov: Any, probability: Any, mean: Any) -> np.ndarray | None:
     NaN for an invalid covariance or probability. None if the arguments are traced, for more than `MOST` radii, and for
     a mean so far away that the integral needs other axes.
     """
-    if not is_direct((cov, probability, mean)):
+    if not is_direct():
         return None
     cov, probability, mean = (np.asarray(x, np.float64) for x in (cov, probability, mean))
     d = mean.shape[-1]
@@ -51,7 +51,7 @@ def host_slopes(cov: Any, radius: Any, mean: Any) -> np.ndarray | None:
     so that, by Gauss's theorem, that of the probability within a circle is an integral around it. None if the arguments
     are traced, and where the density varies too quickly along the circle for `AROUND` points.
     """
-    if not is_direct((cov, radius, mean)):
+    if not is_direct():
         return None
     cov, mean, radius = np.asarray(cov, np.float64), np.asarray(mean, np.float64), float(radius)
     variances = np.linalg.eigvalsh(cov)
