@@ -155,8 +155,8 @@ def study(runs: int, count: int) -> list[Table]:
     consistency = Table("Consistency: squared errors in those that are stated", CONSISTENCY)
     gain = Table(f"Gain of {count} looks", GAIN, notes=[f"Published: {PUBLISHED}."])
     low, high = scipy.stats.chi2.ppf([0.025, 0.975], 3 * runs) / (3 * runs)
-    for name, (places, target) in scenes.items():
-        each = [run(places[number % len(places)], target, number) for number in range(runs)]
+    for part, (name, (places, target)) in enumerate(scenes.items()):
+        each = [run(places[number % len(places)], target, runs * part + number) for number in range(runs)]
         _, *nees = np.mean([one.nees for one in each], axis=0) / 3.0
         degrees = sum(int(np.sum(one.found.degrees)) for one in each)
         nis = sum(float(np.sum(one.found.nis)) for one in each) / degrees
