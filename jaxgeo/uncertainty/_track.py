@@ -87,6 +87,8 @@ def track(
     """
     several = checked_looks(looks)
     check_is(target, AbstractTarget, "target", "AtRest() and ConstantVelocity() are targets.")
+    if not isinstance(target.on_terrain, bool):
+        raise TypeError(f"target.on_terrain must be True or False; got {target.on_terrain!r}.")
     shared = checked_errors(several, terrain, errors, target)
     lines, starts = lines_of_all(several, terrain, shared, target)
     sensor, look, order = in_order(lines)
@@ -129,7 +131,10 @@ def checked_errors(
     for number, looks in enumerate(several):
         inputs = _first_inputs(looks, terrain)
         common = for_target(checked_model(errors, inputs), target)
-        model = None if looks.errors is None else for_target(checked_model(looks.errors, inputs), target)
+        try:
+            model = None if looks.errors is None else for_target(checked_model(looks.errors, inputs), target)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"looks[{number}].errors: {error}") from error
         for source in () if model is None or len(several) == 1 else model.sources:
             if isinstance(source.sharing, Systematic):
                 raise ValueError(

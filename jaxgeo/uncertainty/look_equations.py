@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import dot, safe_norm
-from jaxgeo._typing import Flag, Matrix3, Scalar, Vector3
+from jaxgeo._typing import Flag, Flags, Matrix3, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.look_lines import Lines
 from jaxgeo.uncertainty.target_motion import AbstractTarget
@@ -91,11 +91,22 @@ def _surface_slope(place: Vector3, reach: Scalar, terrain: AbstractTerrain, worl
     """Derivative of a point of the ground by its level coordinates, over as much ground as the position may err.
 
     The difference over the standard deviation on either side: the slope that matters for the estimate (statistical
-    linearisation), and a continuous one. The derivative of a bilinear surface jumps at each row of posts.
+    linearisation), and a continuous one. The derivative of a bilinear surface jumps at each row of posts. Beside the
+    edge of the terrain or a void it is the difference on the known side, or over the least distance.
     """
-    steps = jnp.maximum(reach, LEAST_REACH) * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    around = jax.vmap(lambda step: on_surface(place[:2] + step, place[2], terrain, world, STEPS_NEARBY)[0])(steps)
-    return (around[::2] - around[1::2]).T / (2.0 * jnp.maximum(reach, LEAST_REACH))
+    sides = jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+
+    def slope_over(reach: Scalar) -> tuple[Float[Array, "2"], Flags]:
+        around, known = jax.vmap(
+            lambda side: on_surface(place[:2] + reach * side, place[2], terrain, world, STEPS_NEARBY)
+        )(sides)
+        up = (around[:, 2] - place[2]) / reach
+        ahead, behind = known[::2], known[1::2]
+        one_side = jnp.where(ahead, up[::2], jnp.where(behind, -up[1::2], 0.0))
+        return jnp.where(ahead & behind, 0.5 * (up[::2] - up[1::2]), one_side), ahead | behind
+
+    slopes, known = jax.vmap(slope_over)(jnp.stack([jnp.maximum(reach, LEAST_REACH), jnp.asarray(LEAST_REACH)]))
+    return jnp.concatenate([jnp.eye(2), jnp.where(known[0], slopes[0], slopes[1])[None]])
 
 
 def _across(heading: Vector3) -> Float[Array, "2 3"]:

@@ -56,7 +56,7 @@ def checked_looks(given: Any) -> tuple[Looks, ...]:
 
 def _checked(looks: Looks, name: str) -> Looks:
     check_is(looks.sensor, Sensor, f"{name}.sensor")
-    uvs: Any = as_float64(as_array(looks.uvs, f"{name}.uvs"), f"{name}.uvs")
+    uvs: Any = _numbers(looks.uvs, f"{name}.uvs", "the pixel (column, row) of each look")
     if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape[0]:
         raise ValueError(
             f"{name}.uvs must be the pixel (column, row) of each look, of shape (looks, 2); got shape {uvs.shape}."
@@ -66,6 +66,19 @@ def _checked(looks: Looks, name: str) -> Looks:
     times = _times(looks, shots, count, name)
     sensor = as_float64(looks.sensor, f"{name}.sensor")
     return Looks(sensor, shots, np.asarray(uvs), times, looks.errors, checked_air(looks.atmosphere))
+
+
+def _numbers(given: Any, name: str, what: str) -> Any:
+    """Numbers as a float64 array; raises `TypeError` for anything else."""
+    try:
+        found = as_float64(as_array(given, name), name)
+    except TypeError as error:
+        if "float64" in str(error):
+            raise
+        found = None
+    if not hasattr(found, "ndim"):
+        raise TypeError(f"{name} must be numbers, {what}; got {given!r}.")
+    return found
 
 
 def _shots(given: Any, count: int, name: str) -> Shot | Trajectory:
@@ -108,7 +121,7 @@ def _times(looks: Looks, shots: Shot | Trajectory, count: int, name: str) -> np.
         assert isinstance(shots, Shot)
         times = np.asarray(shots.time)
     else:
-        times = np.asarray(as_float64(as_array(looks.times, f"{name}.times"), f"{name}.times"))
+        times = np.asarray(_numbers(looks.times, f"{name}.times", "the time of each look in s"))
     if times.shape != (count,):
         raise ValueError(f"{name}.times must have the shape ({count},), one for each of uvs; got {times.shape}.")
     if not np.isfinite(times).all():

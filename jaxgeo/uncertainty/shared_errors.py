@@ -46,7 +46,8 @@ class SharedErrors(NamedTuple):
 def shared_errors(common: ErrorModel, own: Sequence[ErrorModel | None]) -> SharedErrors:
     """Numbers z of looks of several sensors: with errors of all sensors, and those of each alone.
 
-    Errors that are common to all flights are the same numbers for all sensors.
+    Errors that are common to all flights are the same numbers for all sensors; so are those of the ground in `common`
+    that are not fresh, since all sensors look at the same place.
     """
     models = tuple(ErrorModel((*common.sources, *(() if one is None else one.sources))) for one in own)
     kinds: list[list[tuple[slice, Part, Any]]] = []
@@ -59,16 +60,15 @@ def shared_errors(common: ErrorModel, own: Sequence[ErrorModel | None]) -> Share
             for part in _parts(source):
                 if part.duration == 0.0:
                     start, fresh = fresh, fresh + axes
-                elif math.isinf(part.duration):
-                    key = (number,) if part.is_for_all else (sensor, number)
-                    if key not in first_of_all:
-                        first_of_all[key] = counts[1]
-                        counts[1] += axes
-                    start = first_of_all[key]
                 else:
-                    start = counts[2]
-                    counts[2] += axes
-                    durations += [part.duration] * axes
+                    kind = 1 if math.isinf(part.duration) else 2
+                    is_for_all = part.is_for_all or (is_of_ground(source) and number < len(common.sources))
+                    key = (kind, number, None if is_for_all else sensor)
+                    if key not in first_of_all:
+                        first_of_all[key] = counts[kind]
+                        counts[kind] += axes
+                        durations += [part.duration] * axes if kind == 2 else []
+                    start = first_of_all[key]
                 rows.append((place, part, start))
         counts[0] = max(counts[0], fresh)
         kinds.append(rows)
@@ -117,6 +117,11 @@ def _parts(source: AbstractSource) -> list[Part]:
     return [part for part in parts if part.share > 0.0]
 
 
+def is_of_ground(source: AbstractSource) -> bool:
+    """Whether an error is one of the height of the ground, not of a line of sight."""
+    return isinstance(source, TerrainHeight | TerrainField) or (isinstance(source, Geoid) and not source.platform)
+
+
 def for_target(model: ErrorModel, target: AbstractTarget) -> ErrorModel:
     """The error model as it acts on looks at one target.
 
@@ -125,10 +130,7 @@ def for_target(model: ErrorModel, target: AbstractTarget) -> ErrorModel:
     """
     kept = []
     for source in model.sources:
-        is_ground = isinstance(source, TerrainHeight | TerrainField) or (
-            isinstance(source, Geoid) and not source.platform
-        )
-        if is_ground and not target.on_terrain:
+        if is_of_ground(source) and not target.on_terrain:
             continue
         if isinstance(source, TerrainField):
             source = _at_one_place(source, target)
@@ -144,4 +146,4 @@ def _at_one_place(field: TerrainField, target: AbstractTarget) -> TerrainHeight:
             f"TerrainHeight.from_metres({sigma:.3g}, sharing=TimeCorrelated(T)), with T its correlation length over "
             "the target's speed, in s."
         )
-    return TerrainHeight.from_metres(sigma, sharing=field.sharing)
+    return TerrainHeight.from_metres(sigma)  # whatever its sharing: it is the same ground in all looks

@@ -23,6 +23,7 @@ from jaxgeo.uncertainty.target_motion import AbstractTarget
 from jaxgeo.uncertainty.validation import SIGNIFICANCE, Size
 
 NAMED = 5  # looks in a sentence
+AMBIGUOUS, LEAST_APART = 2.0, 1.0  # times SE90, and m: farther apart, batch and filter are at different solutions
 AT_ONCE = 256  # radii that the host computes without a program; it takes a third of a millisecond for each
 
 
@@ -93,7 +94,7 @@ class TargetState(Record):
         lat, lon, height = (float(x) for x in self.position.to_degrees())
         text = f"{lat:.6f} deg, {lon:.6f} deg, {height:.1f} m, CE90 {figure(self.ce90)} m, LE90 {figure(self.le90)} m"
         east, north, _ = np.asarray(self.velocity_enu)
-        if east == north == 0.0:
+        if east == north == 0.0 or not math.isfinite(east + north):
             return text
         sigma = math.sqrt(max(np.trace(np.asarray(self.velocity_cov_enu)[:2, :2]), 0.0))
         heading = math.degrees(math.atan2(east, north)) % 360.0
@@ -175,8 +176,21 @@ class Track(Record):
         return z, float(2.0 * scipy.stats.norm.sf(abs(z)))
 
     @property
+    def apart(self) -> float:
+        """Distance in m between the positions of `batch` and, after the last look, of `filtered`; NaN without both."""
+        return float(np.linalg.norm(np.asarray(self.batch.p_ecef) - np.asarray(self.filtered.p_ecef)[-1]))
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether `batch` and `filtered` end at different places: the looks have several solutions on the terrain."""
+        return self.apart > max(AMBIGUOUS * float(self.batch.spherical_error(0.9)), LEAST_APART)
+
+    @property
     def is_consistent(self) -> bool:
-        """Whether neither test of the innovations refuses the model at 5 % together (Bonferroni)."""
+        """Whether neither test of the innovations refuses the model at 5 % together (Bonferroni), and the batch and the
+        filter end at one place."""
+        if self.is_ambiguous:
+            return False
         size, (_, p) = self.size, self.whiteness
         found = [x for x in ((size.p if size is not None else math.nan), p) if not math.isnan(x)]
         return all(x >= SIGNIFICANCE / len(found) for x in found)
@@ -195,7 +209,12 @@ class Track(Record):
             lines.append(self.note)
         left_out = self._left_out()
         if not bool(self.batch.ok):
-            return "\n".join([*lines, *left_out])
+            return "\n".join([*lines, self._tests(), *left_out])
+        if self.is_ambiguous:
+            lines.append(
+                f"Ambiguous: the filter ends {figure(self.apart)} m away from this. The looks fit several places on "
+                "the terrain, and no CE90 here covers the others; sample single looks, or add looks from other sides."
+            )
         first = int(np.argmax(np.asarray(self.filtered.ok)))
         lines.append(
             f"CE90 {figure(self.filtered.ce90[first])} m after look {first}, {figure(self.filtered.ce90[-1])} m after "

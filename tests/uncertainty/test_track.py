@@ -22,6 +22,7 @@ import scipy.stats
 import jaxgeo
 from jaxgeo import ConstantHeight, ErrorModel, Geodetic, Pose, Shot, Status
 from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.terrain import TangentGrid
 from jaxgeo.uncertainty import (
     AtRest,
     ConstantVelocity,
@@ -511,6 +512,9 @@ def test_wrong_values_are_named(looks, errors, target, message) -> None:
     [
         (ONE, PIXEL, "still", "target must be a jaxgeo AbstractTarget; got str"),
         (TWO, PIXEL, STILL, r"looks\[0\] must be a jaxgeo Looks; got Shot"),
+        (Looks(SENSOR, TWO[:1], None), PIXEL, STILL, "looks.uvs must be numbers, the pixel .* of each look; got None"),
+        (looks_from([0.0], times=["a"]), PIXEL, STILL, "looks.times must be numbers, the time of each look in s"),
+        (looks_from([0.0], errors=3), PIXEL, STILL, r"looks\[0\].errors: errors must be"),
         (ONE, pixel(sharing=Odd()), STILL, "pixel measurement: track needs errors that are fresh, .* got Odd"),
     ],
 )
@@ -558,3 +562,61 @@ def test_flights_are_apart(name: str, kinds: tuple[int, int, int]) -> None:
     """What a flight shares is one set of numbers for each of two sensors, what is systematic one for both."""
     source = dataclasses.replace(PIXEL, sharing=SHARINGS[name])
     assert shared_errors(ErrorModel((source,)), (None, None)).counts == kinds
+
+
+def test_the_ground_is_one_for_all_sensors() -> None:
+    """All sensors look at the same ground: a height error that a flight shares, or that fades, is the same for all."""
+    fading = dataclasses.replace(HEIGHT, sharing=TimeCorrelated(100.0, alpha=0.3))
+    found = shared_errors(ErrorModel((PIXEL, fading, dataclasses.replace(HEIGHT, sharing=PerFlight()))), (None, None))
+    assert found.counts == (2, 2, 1)
+    np.testing.assert_array_equal(found.columns[0], found.columns[1])
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("sharing", [TimeCorrelated(1e4), PerFlight()], ids=["fading", "flight"])
+def test_more_sensors_at_one_place_do_not_level_the_ground(sharing: AbstractSharing) -> None:
+    steady = ErrorModel((PIXEL, sources.TerrainHeight.from_metres(20.0, sharing=sharing)))
+    one, four = (track([looks_from([0.0, 0.0])] * count, GROUND, steady).batch for count in (1, 4))
+    assert float(four.le90) > 0.98 * float(one.le90) > 30.0
+
+
+def hilly(heights: Any) -> jaxgeo.Dem:
+    """A terrain of 121 x 121 posts, 30 m apart, about the point, by its heights at places east of it in m."""
+    row = heights(np.arange(121) * 30.0 - 1800.0)
+    middle = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
+    grid = TangentGrid.centred(middle, spacing=(30.0, 30.0), shape=(121, 121))
+    return jaxgeo.Dem.from_array(np.tile(row, (121, 1)), grid)
+
+
+def looks_towards(east: float, up: float, above: float, count: int = 1, rows: Any = (0.0,)) -> Looks:
+    """Looks from a place in the west at a point `east` of `POINT`, with errors in the rows of their pixels."""
+    R, origin = np.asarray(R_ecef_from_enu(POINT)), np.asarray(WGS84.to_ecef(POINT))
+    at = lambda *enu: WGS84.to_geodetic(jnp.asarray(origin + R @ np.array(enu)))  # noqa: E731
+    shots = [
+        Shot(Pose.looking_at(position=at(-1500.0, 30.0 * k, above), point=at(east, 0.0, up)), time=10.0 * k)
+        for k in range(count)
+    ]
+    return Looks(SENSOR, shots, np.array([(MIDDLE[0], MIDDLE[1] + row) for row in rows]))
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("east", [0.0, 1700.0, 1794.0, 1799.0], ids="{:g} m".format)
+def test_a_look_beside_the_edge_of_the_terrain_is_that_of_linear_propagation(east: float) -> None:
+    ground, errors = hilly(lambda x: 600.0 - 0.3 * x), dataclasses.replace(PIXEL, sigma=np.array([30.0, 30.0]))
+    looks = looks_towards(east, -0.3 * east, 1900.0)
+    found = track(looks, ground, ErrorModel((errors,))).batch
+    one = propagate(SENSOR, looks.shots[0], MIDDLE, ground, ErrorModel((errors,)))
+    np.testing.assert_allclose(found.cov_enu, one.cov_enu, rtol=1e-2, atol=1e-2 * float(np.max(one.cov_enu)))
+
+
+@pytest.mark.costly
+def test_looks_that_fit_two_ridges_are_called_ambiguous() -> None:
+    ridges = hilly(lambda x: 600.0 + 200.0 * (np.exp(-(((x + 300) / 80) ** 2)) + np.exp(-(((x - 300) / 80) ** 2))))
+    errors = ErrorModel((dataclasses.replace(PIXEL, sigma=np.array([30.0, 30.0])),))
+    found = track(looks_towards(-290.0, 197.0, 400.0, 5, (30.0, 30.0, -40.0, -40.0, -40.0)), ridges, errors)
+    assert found.apart > 500.0
+    assert found.is_ambiguous
+    assert not found.is_consistent
+    assert f"Ambiguous: the filter ends {found.apart:.0f} m away" in str(found)
+    clear = track(looks_towards(-290.0, 197.0, 400.0, 5, (3.0, 3.0, -4.0, -4.0, 0.0)), ridges, errors)
+    assert not clear.is_ambiguous
