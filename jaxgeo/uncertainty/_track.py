@@ -46,19 +46,21 @@ def track(
 
     `looks` are those of one sensor (`Looks`), or a list with one for each sensor; `target` is `AtRest()` or
     `ConstantVelocity()`, on the terrain unless made with `on_terrain=False`, for which `terrain` may be None.
-    `errors` is the error model of all sensors; `Looks.errors` holds more for one. The sharing of each source says how
-    its errors in two looks are correlated: independent (`PerMeasurement`, `PerImage`), common to the looks of a sensor
-    (`PerFlight`) or of all (`Systematic`), or fading with time (`TimeCorrelated` with beta = 0, for each sensor).
-    A `TerrainField` is one unknown height at a target at rest.
+    `errors` is the error model of all sensors; `Looks.errors` holds more for one. The sharing of each source says
+    how its errors in two looks are correlated: independent (`PerMeasurement`, `PerImage`), common to the looks of a
+    sensor (`PerFlight`) or of all (`Systematic`), or fading with time (`TimeCorrelated` with beta = 0, for each
+    sensor). Those of the ground (`TerrainHeight`, `Geoid`) that are not fresh are common to all sensors, which look
+    at the same place. A `TerrainField` is one unknown height at a target at rest.
 
     A look determines the target's place across the line of sight, to first order in the errors, by the same
-    derivatives as in `propagate`. On the terrain the height follows the DEM, whose height error is one of the errors.
-    `batch` is the generalised least-squares estimate of all looks with their joint covariance, by Gauss-Newton.
-    `filtered` is a recursive estimate after each look, linearised at what was known by then, with the errors that are
-    not fresh as states. Nothing is known of the target before the first look. Both are exact, and equal at the last
-    look, if the problem is linear. Of errors that are not normal the variance is used (see `note`). The time grows in
-    proportion to the number of looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all
-    larger numbers.
+    derivatives as in `propagate`. On the terrain the height follows the DEM, whose height error is one of the
+    errors. `batch` is the generalised least-squares estimate of all looks with their joint covariance, by
+    Gauss-Newton. `filtered` is a recursive estimate after each look, linearised at what was known by then, with the
+    errors that are not fresh as states. Nothing is known of the target before the first look. Both are exact, and
+    equal at the last look, if the problem is linear; if they end at different places (`is_ambiguous`), the looks
+    fit several. Of errors that are not normal the variance is used (see `note`). The time grows in proportion to
+    the number of looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all larger
+    numbers.
 
     A look without a fix, or without a line of sight if the target is free in height, is left out and keeps its
     status; so are looks that graze the terrain. If the looks do not determine the position (free in height, from one
