@@ -19,7 +19,7 @@ from jaxgeo.sensor.platform import Pose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
-from jaxgeo.uncertainty.sources import TerrainField, TerrainHeight, TerrainHeightRaster
+from jaxgeo.uncertainty.sources.height_raster import OF_TERRAIN
 
 
 class Measured(Record):
@@ -169,8 +169,7 @@ def _without_terrain(errors: Any) -> Any:
     sources = errors.sources if isinstance(errors, ErrorModel) else errors
     if not isinstance(sources, list | tuple):
         return errors
-    of_terrain = TerrainHeight | TerrainField | TerrainHeightRaster
-    kept = tuple(source for source in sources if not isinstance(source, of_terrain))
+    kept = tuple(source for source in sources if not isinstance(source, OF_TERRAIN))
     if sources and not kept:
         raise ValueError("errors has only sources of the terrain, which no intersection depends on.")
     return kept

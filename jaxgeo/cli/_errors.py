@@ -114,9 +114,9 @@ def errors_given(
 def ground_errors(stated: tuple[Any, ...], sigmas: Sigmas, *, level: bool) -> tuple[tuple[Any, ...], list[str]]:
     """(error sources of the ground height, assumptions); the stated ones without options. Raises `UserError`."""
     from jaxgeo.uncertainty import sources
+    from jaxgeo.uncertainty.sources.height_raster import OF_TERRAIN
 
-    of_ground = sources.TerrainHeight | sources.TerrainField | sources.TerrainHeightRaster
-    own = tuple(one for one in stated if isinstance(one, of_ground))
+    own = tuple(one for one in stated if isinstance(one, OF_TERRAIN))
     if own and sigmas.dem is None and sigmas.dem_correlation is None:
         return own, []
     assumed = []

@@ -23,15 +23,8 @@ from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
-from jaxgeo.uncertainty.sources import (
-    AbstractSource,
-    Attitude,
-    GimbalAngles,
-    Position,
-    TerrainField,
-    TerrainHeight,
-    TerrainHeightRaster,
-)
+from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
+from jaxgeo.uncertainty.sources.height_raster import OF_TERRAIN
 
 if TYPE_CHECKING:
     from jaxgeo.io import DemFiles
@@ -39,7 +32,6 @@ if TYPE_CHECKING:
 REPORTED = "reported"
 SHARE = re.compile(r"( \(\d+ of \d+ exposures[^)]*\))?$")  # end of a sentence that does not apply to all
 OPTION_OF = {Position: "position", Attitude: "attitude", GimbalAngles: "gimbal"}
-OF_GROUND = TerrainHeight | TerrainField | TerrainHeightRaster
 # Phrases in the readers' sentences about error sources, and the options that replace these sources.
 REPLACED = {
     "Focal length sigma:": "focal",
@@ -193,7 +185,7 @@ def _sources(
 
     sigmas, is_level = options.sigmas, options.ground.level is not None
     pitch = pixel_pitch_of(pathlib.Path(source)) if batch.is_one_camera else None
-    own = tuple(one for one in batch.sources if not isinstance(one, OF_GROUND))
+    own = tuple(one for one in batch.sources if not isinstance(one, OF_TERRAIN))
     given = errors_given(own, sigmas, batch.sensor.gimbal, source, pitch)
     ground, assumed = ground_errors(batch.sources, sigmas, level=is_level)
     found = (*given, *ground)

@@ -20,6 +20,7 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty.sources import Geoid, TerrainField, TerrainHeight
 from jaxgeo.uncertainty.sources.base import AbstractSource
+from jaxgeo.uncertainty.sources.height_raster import OF_TERRAIN
 from jaxgeo.uncertainty.target_motion import AbstractTarget
 
 
@@ -119,7 +120,7 @@ def _parts(source: AbstractSource) -> list[Part]:
 
 def is_of_ground(source: AbstractSource) -> bool:
     """Whether an error is one of the height of the ground, not of a line of sight."""
-    return isinstance(source, TerrainHeight | TerrainField) or (isinstance(source, Geoid) and not source.platform)
+    return isinstance(source, OF_TERRAIN) or (isinstance(source, Geoid) and not source.platform)
 
 
 def for_target(model: ErrorModel, target: AbstractTarget) -> ErrorModel:

@@ -479,6 +479,9 @@ TWO = list(looks_from([0.0, 1.0]).shots)
 STEADY = jaxgeo.Trajectory.steady(TWO[0], velocity_ned=(1.0, 0.0, 0.0))
 HEIGHT = sources.TerrainHeight.from_metres(3.0)
 STILL, IN_AIR = AtRest(), AtRest(on_terrain=False)
+RASTER = sources.TerrainHeightRaster.from_array(
+    np.full((3, 3), 5.0), TangentGrid.centred(POINT, spacing=(30.0, 30.0), shape=(3, 3))
+)
 
 
 def pixel(**options: Any) -> Any:
@@ -499,6 +502,7 @@ def pixel(**options: Any) -> Any:
         (ONE, pixel(sharing=TimeCorrelated(9.0, beta=2.0)), STILL, "with beta = 2 is no Gauss-Markov process"),
         (looks_from([0, 1], 0.0), pixel(sharing=TimeCorrelated(9.0)), STILL, "all looks are at 0 s, so that errors"),
         (ONE, HEIGHT, IN_AIR, "errors has only heights of the terrain"),
+        (ONE, RASTER, IN_AIR, "errors has only heights of the terrain"),
         ([looks_from([0.0], errors=HEIGHT)] * 2, PIXEL, STILL, r"looks\[0\].errors: terrain height is Systematic"),
     ],
 )

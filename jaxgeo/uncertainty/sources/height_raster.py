@@ -20,7 +20,7 @@ from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sharing import AbstractSharing, Systematic
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
-from jaxgeo.uncertainty.sources.ground import TerrainHeight
+from jaxgeo.uncertainty.sources.ground import TerrainField, TerrainHeight
 
 ON_EDGE = 1e-9  # posts: rounding tolerance for fixes on the last post
 
@@ -111,3 +111,6 @@ def sigma_at(posts: Float[Array, "rows cols"], grid: AbstractGrid, p_ecef: Vecto
 
 
 _sigma_at = quick_filter_jit(sigma_at)
+
+
+OF_TERRAIN = TerrainHeight | TerrainField | TerrainHeightRaster  # errors of the height of the terrain
