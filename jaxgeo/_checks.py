@@ -1,9 +1,9 @@
-"""The public doors: 64-bit floats are required, and callers' mistakes are named before anything is converted."""
+"""Checks of arguments: 64-bit floats are required, and mistakes are named before anything is converted."""
 
 from __future__ import annotations
 
 import os
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -73,10 +73,23 @@ def as_float64(tree: T, name: str) -> T:
     Raises `RuntimeError` with 64-bit floats off, `TypeError` on any other float or complex dtype.
     """
     require_x64()
-    return jax.tree_util.tree_map_with_path(lambda path, leaf: _leaf_as_float64(path, leaf, name), tree)
+    leaves, structure = jax.tree.flatten(tree)
+    if all(isinstance(leaf, jax.Array) and leaf.dtype == np.float64 and not leaf.weak_type for leaf in leaves):
+        return tree
+    leaves = [_leaf_as_float64(number, leaf, tree, name) for number, leaf in enumerate(leaves)]
+    host = [number for number, leaf in enumerate(leaves) if isinstance(leaf, _Host)]
+    for number, leaf in zip(host, jax.device_put([leaves[number].values for number in host]), strict=True):
+        leaves[number] = leaf  # all at once, which is quicker; jnp.asarray would compile a program for each shape
+    return jax.tree.unflatten(structure, leaves)
 
 
-def _leaf_as_float64(path: Any, leaf: Any, name: str) -> Any:
+class _Host(NamedTuple):
+    """Values of a leaf that are not on a device yet."""
+
+    values: np.ndarray
+
+
+def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str) -> Any:
     if not (eqx.is_array_like(leaf) or isinstance(leaf, np.generic)):
         return leaf
     dtype = np.asarray(leaf).dtype if isinstance(leaf, bool | int | float | complex) else leaf.dtype
@@ -85,8 +98,8 @@ def _leaf_as_float64(path: Any, leaf: Any, name: str) -> Any:
             return leaf
         if isinstance(leaf, jax.Array) or not trace_state_clean():
             return jnp.asarray(leaf, jnp.float64)
-        return jax.device_put(np.array(leaf, np.float64))  # jnp.asarray would compile a program for each shape
-    where = f"{name}{jax.tree_util.keystr(path)}"
+        return _Host(np.array(leaf, np.float64))
+    where = f"{name}{jax.tree_util.keystr(jax.tree_util.tree_flatten_with_path(tree)[0][number][0])}"
     raise TypeError(
         f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
         f"the metres. Make it float64 where it is read or created, e.g. np.asarray(x, np.float64)."

@@ -8,8 +8,9 @@ block.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -25,6 +26,7 @@ from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
+    STAGE,
     TRIALS,
     PerturbedLines,
     Stages,
@@ -40,8 +42,10 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-FEW, MANY = 5 * BLOCK, 74 * BLOCK  # samples of one call on one device, at most; four calls are a million
+FEW, MANY = 5 * BLOCK, 37 * BLOCK  # samples of one call on one device, at most; eight calls are a million
 LONG_RUN = 4 * FEW  # samples per device from which programs are compiled for speed
+
+HostIndex: TypeAlias = Int[Array | np.ndarray, ""]
 
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
 _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for i in range(4)])
@@ -83,6 +87,11 @@ class Size(NamedTuple):
     is_long_run: bool
     block: int = BLOCK
 
+    @property
+    def step(self) -> int:
+        """Lines of sight that are formed together; a block is a whole number of them."""
+        return STAGE if self.block == BLOCK else self.block
+
     @classmethod
     def of(cls, count: int, chunk: int, unit: int, devices: tuple[Any, ...]) -> Size:
         """The size for chunks of at most `chunk` of `count` samples, and at least `unit`; one for many counts."""
@@ -97,14 +106,14 @@ class Size(NamedTuple):
 class Part(NamedTuple):
     """Part of a sampling: the first sample, the number of samples, and how many blocks of them a device draws."""
 
-    first: Int[Array, ""]
-    count: Int[Array, ""]
-    share: Int[Array, ""]
+    first: HostIndex
+    count: HostIndex
+    share: HostIndex
 
     @classmethod
     def of(cls, first: int, count: int, size: Size) -> Part:
         """A part divided among the devices."""
-        return cls(*jax.tree.map(jnp.asarray, (first, count, blocks_per_device(first, count, size))))
+        return cls(*map(np.asarray, (first, count, blocks_per_device(first, count, size))))
 
 
 def blocks_per_device(first: int, count: int, size: Size) -> int:
@@ -156,11 +165,16 @@ def make_plan(
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
-    trial = draw_lines(plan.lines._replace(key=jax.random.key(0)), Part.of(0, TRIALS, size), size)
+    trial = draw_lines(plan.lines._replace(key=_trial_key()), Part.of(0, TRIALS, size), size, TRIALS)
     some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)  # before it goes to the host
     trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
     found = search_of_lines(search, plan.lines.inputs, nominal, trial)
     return plan._replace(fixes=plan.fixes._replace(search=found)), size
+
+
+@functools.cache
+def _trial_key() -> Any:
+    return jax.random.key(0)
 
 
 @quick_filter_jit
@@ -202,9 +216,10 @@ def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes
     return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
 
 
-def draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
-    """Perturbed lines of sight of the blocks of a part: `part.share` blocks on each device."""
-    return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, size)
+def draw_lines(plan: LinePlan, part: Part, size: Size, enough: int | None = None) -> PerturbedLines:
+    """Perturbed lines of sight of the blocks of a part: `part.share` blocks on each device, or the first `enough`."""
+    steps = int(part.share) * (size.block // size.step) if enough is None else -(-enough // size.step)
+    return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, np.asarray(steps), size)
 
 
 def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
@@ -245,18 +260,20 @@ def _lines_of_points(plan: LinePlan, points: Float[Array, "points axes"]) -> Per
     return perturbed_lines(model, plan.inputs, plan.places, stages, points)
 
 
-def _draw_lines(plan: LinePlan, part: Part, size: Size) -> PerturbedLines:
-    def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part) -> PerturbedLines:
+def _draw_lines(plan: LinePlan, part: Part, steps: HostIndex, size: Size) -> PerturbedLines:
+    def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part, steps: HostIndex) -> PerturbedLines:
         whole = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
-        return _by_blocks(_lines_of_block, part.share, size, device[0], whole, part)[0]
+        first = _first_of_device(device[0], part, size.block)
+        return _by_blocks(_lines_of_step, steps, (size.step, size.capacity), first, whole)[0]
 
-    return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part)
+    return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part, steps)
 
 
 def _draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
     def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
-        args = device[0], lines, plan, part, centre, keep
-        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, size, *args)
+        args = _first_of_device(device[0], part, size.block), lines, plan, part, centre, keep
+        blocks = size.block, size.capacity
+        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, blocks, *args)
         return Drawn(moments[None, :, :], radii, statuses, errors)
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)), lines), plan, part, centre)
@@ -267,11 +284,9 @@ _draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_fi
 
 
 @eqx.filter_jit
-def _lines_of_block(
-    number: Index, block: int, device: Index, plan: LinePlan, part: Part
-) -> tuple[PerturbedLines, tuple[()]]:
+def _lines_of_step(number: Index, step: int, first: Index, plan: LinePlan) -> tuple[PerturbedLines, tuple[()]]:
     stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.turn)
-    samples = _samples_of_block(number, block, device, part)
+    samples = first + number * step + jnp.arange(step)
     return perturbed_lines(plan.model, plan.inputs, plan.places, stages, samples), ()
 
 
@@ -279,7 +294,7 @@ def _lines_of_block(
 def _fixes_of_block(
     number: Index,
     block: int,
-    device: Index,
+    first: Index,
     lines: PerturbedLines,
     plan: FixPlan,
     part: Part,
@@ -294,29 +309,32 @@ def _fixes_of_block(
     radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
     radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
     errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
-    place = _samples_of_block(number, block, device, part) - part.first
+    place = first + number * block + jnp.arange(block) - part.first
     counts = found & (place >= 0) & (place < part.count)
     return (radii, status, errors), _moments(error, counts)
 
 
-def _samples_of_block(number: Index, block: int, device: Index, part: Part) -> Int[Array, " block"]:
-    """Numbers of the samples in a block of a device's share; blocks begin at multiples of their size."""
-    return (part.first // block + device * part.share + number) * block + jnp.arange(block)
+def _first_of_device(device: Index, part: Part, block: int) -> Index:
+    """Number of the first sample of a device's share; blocks begin at multiples of their size."""
+    return (jnp.asarray(part.first) // block + device * part.share) * block
 
 
-def _by_blocks(function: Any, blocks: Index, size: Size, *args: Any) -> tuple[Any, Any]:
-    """`function(number, size.block, *args)` of some blocks: results per item, with room for `size.capacity`, and the
-    sums of the results per block."""
+def _by_blocks(function: Any, blocks: HostIndex, size: tuple[int, int], *args: Any) -> tuple[Any, Any]:
+    """`function(number, block, *args)` of some blocks: results per item, and the sums of the results per block.
+
+    `size` is that of a block, and the items for which there is room.
+    """
+    block, capacity = size
     zeros = lambda x, *size: jnp.zeros((*size, *x.shape[len(size) :]), x.dtype)  # noqa: E731
-    each, total = eqx.filter_eval_shape(function, jnp.asarray(0), size.block, *args)
-    start = jax.tree.map(lambda x: zeros(x, size.capacity), each), jax.tree.map(zeros, total)
+    each, total = eqx.filter_eval_shape(function, jnp.asarray(0), block, *args)
+    start = jax.tree.map(lambda x: zeros(x, capacity), each), jax.tree.map(zeros, total)
 
-    def block(number: Index, state: tuple[Any, Any]) -> tuple[Any, Any]:
-        here, more = function(number, size.block, *args)
-        put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * size.block, 0)  # noqa: E731
+    def add(number: Index, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        here, more = function(number, block, *args)
+        put = lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, number * block, 0)  # noqa: E731
         return jax.tree.map(put, state[0], here), jax.tree.map(jnp.add, state[1], more)
 
-    return jax.lax.fori_loop(0, blocks, block, start)
+    return jax.lax.fori_loop(0, blocks, add, start)
 
 
 def _on_each(function: Callable[..., Any], devices: tuple[Any, ...], spread: tuple[Any, ...], *common: Any) -> Any:
