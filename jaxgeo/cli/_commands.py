@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from jaxgeo._text_numbers import number_in, whole_in
+from jaxgeo.cli._archive_dem import forget
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
 from jaxgeo.cli._screen import print_message
 
@@ -47,6 +48,7 @@ class Commands(TyperGroup):
         given |= {"windows_expand_args": windows_expand_args, "standalone_mode": False}
         if not standalone_mode:
             return super().main(**given, **extra)
+        forget()
         try:
             code = super().main(**given, **extra)
             _flush_stdout(is_reported=code == MISTAKE)
