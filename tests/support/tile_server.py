@@ -12,7 +12,8 @@ import pathlib
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -65,6 +66,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._answer(is_head=False)
 
+    def do_POST(self) -> None:  # a search, whose answer is a file
+        self.rfile.read(int(self.headers.get("Content-Length", "0")))
+        self._answer(is_head=False)
+
     def _answer(self, *, is_head: bool) -> None:
         served, span = self.served, self.headers.get("Range", "")
         served.asked.append((self.command, self.path, span))
@@ -81,7 +86,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         content = file.read_bytes()
         found = re.fullmatch(r"bytes=(\d+)-(\d*)", span)
         first, last = (int(found[1]), int(found[2] or len(content) - 1)) if found else (0, len(content) - 1)
-        if first >= len(content):
+        if found and first >= len(content):
             self._refuse(416)
             return
         body = content[first : last + 1]
@@ -136,8 +141,19 @@ def heights_at(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
     )  # fmt: skip
 
 
+def plane_at(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+    """A plane on the map, m, which interpolation between posts reproduces; without a step at 180 degrees."""
+    return 700.0 + 3.0 * np.remainder(lon, 360.0) - 4.0 * lat
+
+
 def write_tile(
-    root: pathlib.Path, archive: Archive, cell: Cell, *, posts: int = POSTS, block: int = BLOCK
+    root: pathlib.Path,
+    archive: Archive,
+    cell: Cell,
+    *,
+    posts: int = POSTS,
+    block: int = BLOCK,
+    heights: Callable[[np.ndarray, np.ndarray], np.ndarray] = heights_at,
 ) -> pathlib.Path:
     """A tile of an archive at its place below a folder: tiled, compressed, posts at whole degrees in the first row and
     column, the last ones left out, as in Copernicus DEM on AWS."""
@@ -145,7 +161,7 @@ def write_tile(
     shape, transform = made.sea_grid(cell)
     a, _, c, _, e, f = transform
     lon, lat = c + a * (np.arange(shape[1]) + 0.5), f + e * (np.arange(shape[0]) + 0.5)
-    values = heights_at(*np.meshgrid(lon, lat)).astype(np.float32)
+    values = heights(*np.meshgrid(lon, lat)).astype(np.float32)
     path = root / archive.path_of(cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     profile = {
@@ -159,8 +175,8 @@ def write_tile(
     return path
 
 
-def write_archive(root: pathlib.Path, name: str, cells: list[Cell], **made: int) -> list[pathlib.Path]:
-    """Tiles of an archive and the list of them."""
+def write_archive(root: pathlib.Path, name: str, cells: list[Cell], **made: Any) -> list[pathlib.Path]:
+    """Tiles of an archive and the list of them; options of `write_tile`."""
     archive = ARCHIVES[name]
     paths = [write_tile(root, archive, cell, **made) for cell in cells]
     if archive.listing is not None:

@@ -19,3 +19,4 @@ from jaxgeo.io.archives.views import View as View
 from jaxgeo.io.archives.views import view_from as view_from
 from jaxgeo.io.archives.views import view_of as view_of
 from jaxgeo.io.archives.views import view_of_image as view_of_image
+from jaxgeo.io.archives.writer import write_dem as write_dem

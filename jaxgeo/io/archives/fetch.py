@@ -467,7 +467,7 @@ class _Ground:
         put = f", or download {url} elsewhere and put it at {self._given(url)}" if self._can_be_given(url) else ""
         return (
             f"{self.archive.name}: offline, and {name} is not in the cache {self.cache.folder}, or not the part that "
-            f"is needed. Go online once (without offline=True){put}."
+            f"is needed. Go online once (without offline=True or {OFFLINE}){put}."
         )
 
     def _can_be_given(self, url: str) -> bool:

@@ -19,7 +19,7 @@ from pyproj.exceptions import CRSError
 from pyproj.sync import get_proj_endpoint  # pyright: ignore[reportPrivateImportUsage]
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
-from rasterio.windows import Window, transform
+from rasterio.windows import Window
 
 from jaxgeo._partial import partial_file
 from jaxgeo.io._proj import NoOperation, operation
@@ -145,10 +145,9 @@ def _window_of(url: str, web: Web, box: tuple[int, int, int, int]) -> bytes:
             raise ArchiveError(f"{url}: the grid does not reach there.")
         window = Window(first, top, last - first, bottom - top)  # pyright: ignore[reportCallIssue]
         values = data.read(1, window=window)
-        placed = transform(window, data.transform)
-        placed = Affine(placed.a, 0.0, placed.c + shift * a, 0.0, placed.e, placed.f)
+        affine = Affine(a, 0.0, c + a * (first + shift), 0.0, e, f + e * top)
         profile = {"driver": "GTiff", "dtype": values.dtype, "count": 1, "height": values.shape[0],
-                   "width": values.shape[1], "transform": placed, "crs": data.crs, "nodata": data.nodata,
+                   "width": values.shape[1], "transform": affine, "crs": data.crs, "nodata": data.nodata,
                    "compress": "deflate"}  # fmt: skip
         with MemoryFile() as memory:
             with memory.open(**profile) as sink:

@@ -14,7 +14,7 @@ from pyproj.transformer import Transformer
 from rasterio.enums import MaskFlags
 from rasterio.io import DatasetReader, MemoryFile
 from rasterio.transform import Affine
-from rasterio.windows import Window, transform
+from rasterio.windows import Window
 
 LEAST = 512  # posts: parts of files with smaller blocks are as many blocks as give this
 COARSE = 64  # posts: side of the squares whose lowest post is known
@@ -150,13 +150,18 @@ def as_file(data: DatasetReader, window: Window, values: np.ndarray) -> bytes:
     masked = MaskFlags.per_dataset in data.mask_flag_enums[0]
     more = {"units": data.units[0], "scale": data.scales[0], "offset": data.offsets[0]}
     nodata = void_of(data) if masked else data.nodata
-    return encoded(values, data.crs, transform(window, data.transform), nodata, **more)
+    return encoded(values, data.crs, placed(data.transform, window), nodata, **more)
+
+
+def placed(affine: Affine, window: Window) -> Affine:
+    """The transform of corners of a window."""
+    return affine @ Affine.translation(window.col_off, window.row_off)
 
 
 def sea_file(header: TileHeader, window: Window) -> bytes:
     """A window of zero height."""
     values = np.zeros((int(window.height), int(window.width)), np.float32)
-    return encoded(values, header.crs, transform(window, Affine(*header.transform)), None)
+    return encoded(values, header.crs, placed(Affine(*header.transform), window), None)
 
 
 def encoded(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from pyproj.transformer import Transformer
@@ -27,6 +27,7 @@ AROUND = ((0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 MOST_RAYS = 20_000
 
 
+@runtime_checkable
 class Ground(Protocol):
     """Ground that is fetched where it is asked for."""
 
