@@ -14,8 +14,10 @@ import typer
 from typer.core import TyperGroup
 
 from jaxgeo._text_numbers import number_in, whole_in
+from jaxgeo.cli._archive_dem import forget
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
 from jaxgeo.cli._screen import print_message
+from jaxgeo.cli.dem import as_place
 
 MistakeOfUse: Any = typer.BadParameter.__mro__[1]  # UsageError, from typer's own or the installed click
 WORDS = {"--nodata": ("nan",)}  # accepted as numbers, by option
@@ -47,6 +49,10 @@ class Commands(TyperGroup):
         given |= {"windows_expand_args": windows_expand_args, "standalone_mode": False}
         if not standalone_mode:
             return super().main(**given, **extra)
+        forget()
+        words = list(sys.argv[1:] if args is None else args)
+        if words[:1] == ["dem"]:
+            given["args"] = [as_place(word) for word in words]
         try:
             code = super().main(**given, **extra)
             _flush_stdout(is_reported=code == MISTAKE)

@@ -11,6 +11,7 @@ EXAMPLES = {
     ),
     "locate": (
         "jaxgeo locate DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --pixel 2000,1500",
+        "jaxgeo locate DJI_0042.JPG --height-datum ellipsoid --dem copernicus",
         "jaxgeo locate flight.klv --ground reported -o fixes.kml",
         f"jaxgeo locate {SCENE} --shots shots.csv -o fixes.csv",
     ),
@@ -52,6 +53,11 @@ EXAMPLES = {
     "register": (
         f"jaxgeo register image.tif --reference ortho.tif {SCENE} --position-sigma 20 --attitude-sigma 0.3 "
         "-o registered",
+    ),
+    "dem": (
+        "jaxgeo dem 36.31,-84.25 --radius 2000 -o ground.tif",
+        "jaxgeo dem --for DJI_0042.JPG --height-datum ellipsoid",
+        "jaxgeo dem",
     ),
     "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),
     "li2020": ("jaxgeo study li2020 -o tables",),

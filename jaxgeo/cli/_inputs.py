@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pathlib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,6 +11,7 @@ import jaxgeo
 from jaxgeo._destination import check_no_input
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
+from jaxgeo.cli._archive_dem import Look, fetch, is_archive
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._option_names import translate_dem_errors
 from jaxgeo.cli._options import DemOptions
@@ -20,6 +22,7 @@ from jaxgeo.terrain import Dem
 if TYPE_CHECKING:
     import jaxgeo.io.scene
     from jaxgeo.io import DemFiles
+    from jaxgeo.io.archives import View
 
 T = TypeVar("T")
 
@@ -30,28 +33,56 @@ def check_goes_with_dem(options: DemOptions) -> None:
         raise UserError(f"--{name.replace('_', '-')} needs --dem FILE.")
 
 
-def read_terrain(dem: list[str], options: DemOptions) -> Dem:
-    """Elevation model from one file or several tiles."""
+def bounds_in(options: DemOptions) -> tuple[float, float, float, float] | None:
+    """The edges of --dem-bounds."""
+    if options.dem_bounds is None:
+        return None
+    west, south, east, north = numbers_in(
+        "--dem-bounds", options.dem_bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"
+    )
+    return west, south, east, north
+
+
+def read_terrain(dem: list[str], options: DemOptions, look: Look | None = None) -> Dem:
+    """Elevation model from one file or several tiles, or of an archive for the lines of sight of `look`."""
     from jaxgeo.io import read_dem
 
-    edges = None
-    if options.dem_bounds is not None:
-        west, south, east, north = numbers_in(
-            "--dem-bounds", options.dem_bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"
-        )
-        edges = west, south, east, north
+    if is_archive(dem):
+        found = fetch(dem[0], options, look)
+        with working("reading the elevation model"), translate_dem_errors():
+            return found.read(**_of_parts(options))
+    check_needs_archive(options)
+    edges = bounds_in(options)
     with working("reading the elevation model"), translate_dem_errors():
         return read_dem(list(dem), bounds=edges, **_reading_of(options))
 
 
-def open_terrain(dem: list[str], options: DemOptions) -> DemFiles:
-    """Elevation model on disk, of which only the ground in sight is read."""
+def open_terrain(dem: list[str], options: DemOptions, look: Look | None = None) -> DemFiles:
+    """Elevation model on disk, of which only the ground in sight is read; `look` as in `read_terrain`."""
     from jaxgeo.io import open_dem
 
+    if is_archive(dem):
+        found = fetch(dem[0], options, look)
+        with translate_dem_errors():
+            return found.open(**_of_parts(options))
+    check_needs_archive(options)
     if options.dem_bounds is not None:
         raise UserError("--dem-bounds: of many images only the ground in sight is read; leave it out.")
     with translate_dem_errors():
         return open_dem(list(dem), **_reading_of(options))
+
+
+def check_needs_archive(options: DemOptions) -> None:
+    """Raises `UserError` for an option of archives beside files."""
+    for name in ("mirror", "proxy", "offline"):
+        if getattr(options, name) is not None:
+            raise UserError(f"--{name} is for the archives of --dem, such as --dem copernicus; leave it out.")
+
+
+def _of_parts(options: DemOptions) -> dict[str, Any]:
+    """Options of `read_dem` and `open_dem` for parts of an archive, which have their own datum and one band."""
+    found = _reading_of(options)
+    return {name: found[name] for name in ("nodata", "height_unit", "assume_wgs84")}
 
 
 def _reading_of(options: DemOptions) -> dict[str, Any]:
@@ -71,6 +102,8 @@ def terrain_files(dem: list[str], options: DemOptions) -> list[str]:
     """All files of the elevation model: tiles, sources of a VRT, a geoid grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
+    if is_archive(dem):
+        return [] if options.vertical_datum is None else [options.vertical_datum]
     tiles = [file for tile in expanded(list(dem)) for file in files_behind(tile, options.reach)]
     return tiles if options.vertical_datum is None else [*tiles, options.vertical_datum]
 
@@ -155,6 +188,17 @@ def trajectory_of(
         held = scene.shot.gimbal_readings
     stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
     return read_navigation(table, names, height_datum=stated, gimbal_readings=held)
+
+
+def view_of_shots(sensor: Any, motions: Sequence[Any]) -> View:
+    """The lines of sight of images of shots, or of (trajectory, time)."""
+    from jaxgeo.io.archives import view_of_image
+    from jaxgeo.io.archives.views import MOST_IMAGES
+
+    some = motions[:: max(1, -(-len(motions) // MOST_IMAGES))]
+    each = [view_of_image(sensor, *(one if isinstance(one, tuple) else (one,))) for one in some]
+    first, *others = each
+    return dataclasses.replace(first, rays=tuple(ray for one in (first, *others) for ray in one.rays))
 
 
 def single(batch: T) -> Iterator[T]:

@@ -28,6 +28,7 @@ from jaxgeo.uncertainty.sources.height_raster import OF_TERRAIN
 
 if TYPE_CHECKING:
     from jaxgeo.io import DemFiles
+    from jaxgeo.io.archives import View
 
 REPORTED = "reported"
 SHARE = re.compile(r"( \(\d+ of \d+ exposures[^)]*\))?$")  # end of a sentence that does not apply to all
@@ -72,18 +73,20 @@ def read_inputs(
     check: Check | None = None,
     *,
     on_disk: bool = False,
+    whole: bool = False,
 ) -> LocateInputs:
     """The inputs, small and error-prone ones first; assumptions and unread files are printed on stderr.
 
     `check` is called with the observations, and whether there are error sources, before the ground is read. An
-    elevation model is left on disk if asked for, unless rays are bent. Error
+    elevation model is left on disk if asked for, unless rays are bent; that of an archive is fetched for the pixels, or
+    with `whole` for their images. Error
     sources are used if `with_errors`; if that is None, for a FILE, or if the scene ([errors] table) or an option states
     them. Raises `UserError`, `ValueError` if `output` would overwrite an input, and as the readers.
     """
     options.check()
     if output is not None:
         check_no_input("--output", [output], options.input_files)
-    inputs = inputs_of(options, with_errors, check, on_disk=on_disk)
+    inputs = inputs_of(options, with_errors, check, on_disk=on_disk, whole=whole)
     for one in inputs.assumed:
         print_message(f"assumed: {one}")
     _print_pixels_outside(options.pixels, inputs.observed)
@@ -92,7 +95,12 @@ def read_inputs(
 
 
 def inputs_of(
-    options: LocateOptions, with_errors: bool | None, check: Check | None = None, *, on_disk: bool = False
+    options: LocateOptions,
+    with_errors: bool | None,
+    check: Check | None = None,
+    *,
+    on_disk: bool = False,
+    whole: bool = False,
 ) -> LocateInputs:
     """`read_inputs` without messages."""
     options.check()
@@ -110,7 +118,7 @@ def inputs_of(
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
     if check is not None:
         check(observed, bool(with_errors))
-    return LocateInputs(observed, _grounds(options, observed, on_disk), bool(with_errors), assumed)
+    return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed)
 
 
 def _observations(options: LocateOptions) -> jaxgeo.io.Observations:
@@ -202,14 +210,20 @@ def _sources(
 
 
 def _grounds(
-    options: LocateOptions, observed: jaxgeo.io.Observations, on_disk: bool
+    options: LocateOptions, observed: jaxgeo.io.Observations, on_disk: bool, whole: bool
 ) -> Sequence[AbstractTerrain] | DemFiles:
     """The ground of each batch."""
     ground, batches = options.ground, observed.batches
+
+    def look() -> View:
+        from jaxgeo.io.archives import view_of
+
+        return view_of(observed, whole=whole)
+
     if ground.level is None and on_disk and observed.atmosphere is None:
-        return open_terrain(ground.dem or [], ground)
+        return open_terrain(ground.dem or [], ground, look)
     if ground.level is None:
-        return [read_terrain(ground.dem or [], ground)] * len(batches)
+        return [read_terrain(ground.dem or [], ground, look)] * len(batches)
     if ground.level == REPORTED:
         heights = [np.full(len(one), np.nan) if one.centre_heights is None else one.centre_heights for one in batches]
         if not any(np.isfinite(each).any() for each in heights):

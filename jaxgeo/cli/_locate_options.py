@@ -93,7 +93,8 @@ class GroundOptions(DemOptions):
         typer.Option(
             "--dem",
             metavar="FILE",
-            help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles.",
+            help="Elevation model: a file, an archive (copernicus, copernicus-90, srtm, 3dep: fetched as needed), or "
+            "a URL with --allow-remote; repeatable for tiles.",
             rich_help_panel=SEEN,
         ),
     ] = None

@@ -76,6 +76,8 @@ _OF_DEM = {
     "band": "dem-band",
     "bounds": "dem-bounds",
     "vertical_datum": "vertical-datum",
+    "mirror": "mirror",
+    "proxy": "proxy",
 }
 _DEM_LIST = re.compile(r"\bnodata=\[([^\]]*)\]")
 _DEM_TUPLE = re.compile(r"\bbounds=\(([-\d., ]*)\)")
@@ -84,6 +86,7 @@ REACH = (("allow_remote=True", "--allow-remote"), ("allow_outside=True", "--allo
 _DEM_WORDS = (
     ("assume_wgs84=True", "--assume-wgs84"),
     *REACH,
+    ("offline=True", "--offline"),
     ("bounds=(west, south, east, north)", "--dem-bounds WEST,SOUTH,EAST,NORTH"),
     (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
     ("as vertical_datum", "with --vertical-datum"),

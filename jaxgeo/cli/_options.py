@@ -87,7 +87,10 @@ SceneFile = Annotated[
 DemFiles = Annotated[
     list[str],
     typer.Option(
-        "--dem", metavar="FILE", help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles."
+        "--dem",
+        metavar="FILE",
+        help="Elevation model: a file, an archive (copernicus, copernicus-90, srtm, 3dep: fetched as needed), or a URL "
+        "with --allow-remote; repeatable for tiles.",
     ),
 ]
 HeightDatum = Annotated[
@@ -156,6 +159,24 @@ class DemOptions(OptionGroup):
     allow_outside: Annotated[
         bool | None,
         typer.Option("--allow-outside", help="Allow rasters (a VRT) to read files outside their own folder."),
+    ] = None
+
+    mirror: Annotated[
+        str | None,
+        typer.Option(
+            "--mirror",
+            metavar="ADDRESS",
+            help="Archive of --dem at another address or in a folder; NAME=ADDRESS for several, proj=ADDRESS for "
+            "geoid grids.",
+        ),
+    ] = None
+    proxy: Annotated[
+        str | None,
+        typer.Option("--proxy", metavar="ADDRESS", help="Proxy to the archive of --dem (default: HTTPS_PROXY)."),
+    ] = None
+    offline: Annotated[
+        bool | None,
+        typer.Option("--offline", help="Use only those parts of the archive of --dem that are on this machine."),
     ] = None
 
     @property

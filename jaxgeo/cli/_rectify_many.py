@@ -24,6 +24,12 @@ SHOWN = "Its orthophoto is written."
 OF_ONE = {"bounds": "--bounds", "like": "--like"}  # options for one image
 
 
+def _view(observed: Any) -> Any:
+    from jaxgeo.io.archives import view_of
+
+    return view_of(observed, whole=True)
+
+
 def rectify_several(
     given: OrientedImages,
     dem: list[str],
@@ -50,7 +56,7 @@ def rectify_several(
     enable_x64()
     observed, files = given.read()
     _check_bands(files, wishes["bands"])
-    terrain = open_terrain(dem, ground)
+    terrain = open_terrain(dem, ground, lambda: _view(observed))
     began = time.perf_counter()
     with many.connected() as client, report_failed_parts(), translate_cell_errors(several=True):
         run = rectify_frames(folder, files, observed, terrain, client=client, progress=many.shows_progress, **wishes)

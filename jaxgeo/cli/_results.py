@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxgeo.cli._archive_dem import told
 from jaxgeo.cli._console import as_json
 from jaxgeo.cli._options import OptionGroup
 
@@ -23,13 +24,14 @@ def print_json(command: str, content: Mapping[str, Any]) -> None:
     """Print the result of a command.
 
     It is one object: `command`, `jaxgeo` (the version), `inputs` (options), `assumed` (sentences), then the command's
-    own keys, and `versions` of the software. Angles are in degrees where names end in `_deg`, lengths in m; numbers
-    have full precision; unknown values are null; a status is its name, with its sentence in `status_text`.
+    own keys, `elevation_model` if that of an archive was used, and `versions` of the software. Angles are in degrees
+    where names end in `_deg`, lengths in m; numbers have full precision; unknown values are null; a status is its name,
+    with its sentence in `status_text`.
     """
     from jaxgeo.io.registration_report import versions
 
     whole = {"command": command, "jaxgeo": version(), "inputs": {}, "assumed": []}
-    whole |= {**content, "versions": content.get("versions", versions())}
+    whole |= {**content, **told(), "versions": content.get("versions", versions())}
     typer.echo(as_json(json.dumps(plain(whole), indent=1, ensure_ascii=False, allow_nan=False)))
 
 

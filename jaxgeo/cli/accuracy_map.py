@@ -164,7 +164,7 @@ def _computed(
         checked_target(output, "a map of accuracy")
     compile_quickly(options.has_terrain_field)
     enable_x64()
-    inputs = read_inputs(options, True, None if on_cluster else output, on_disk=on_cluster)
+    inputs = read_inputs(options, True, None if on_cluster else output, on_disk=on_cluster, whole=True)
     row = _only_row(inputs)
     observation, errors = inputs.observed.at(row)
     exposure = observation.exposure

@@ -14,7 +14,7 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shot_of, shots_of, single
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shot_of, shots_of, single, view_of_shots
 from jaxgeo.cli._options import DemFiles, DemOptions, HeightDatum, SceneFile, ShotsFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
@@ -102,7 +102,7 @@ def _footprint(
         shots = list(single(batch))
     if output is not None:
         check_footprint_file(output, crs, _attributes(carried), len(shots))
-    terrain = read_terrain(dem, reading)
+    terrain = read_terrain(dem, reading, lambda: view_of_shots(scene.sensor, shots))
     outlines, rows = [], []
     for index, shot in enumerate(track(shots, "computing footprints")):
         outline, row = _footprint_of(scene, shot, terrain, tolerance)

@@ -15,7 +15,7 @@ from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shots_of, single, trajectory_of
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shots_of, single, trajectory_of, view_of_shots
 from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, NavigationFile, SceneFile, ShotsFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
@@ -85,7 +85,9 @@ def overlap_command(
                 images = _exposures(given, scene, navigation, moments, height_datum)
             else:
                 images = _images(given, scene, shots, height_datum)
-            terrain = read_terrain(dem, reading)
+            terrain = read_terrain(
+                dem, reading, lambda: view_of_shots(given.sensor, [_motion(one) for _, one in images])
+            )
             rows = _overlaps(given, images, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:
@@ -93,6 +95,11 @@ def overlap_command(
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
             print_json("overlap", {"inputs": inputs, "pairs": pairs})
+
+
+def _motion(exposure: Any) -> Any:
+    """A shot, or (trajectory, time)."""
+    return (exposure.trajectory, exposure.time) if hasattr(exposure, "trajectory") else exposure
 
 
 def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:

@@ -13,12 +13,13 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of, view_of_shots
 from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, SceneFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import print_counts, stderr, working
 from jaxgeo.cli.overlap import BOTH
 
+ALONG = 100  # times along a flight for whose images the ground is fetched
 WAYS = "ground, velocity-height or fixed:PERIOD"
 
 
@@ -130,7 +131,7 @@ def _plan(
     scene = read_scene(scene_path)
     flight = trajectory_of(scene, scene_path, navigation, height_datum)
     _check_count(wishes, flight, start)
-    terrain = read_terrain(dem, reading)
+    terrain = read_terrain(dem, reading, lambda: _view(scene, flight))
     with working("compiling and planning"):
         found = plan(
             scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere
@@ -139,6 +140,13 @@ def _plan(
     write_exposures(output, shots, scene.sensor.gimbal.names, overlaps=found.overlaps)
     _summarise(found, output)
     return _exposures(shots, scene.sensor.gimbal.names, found.overlaps)
+
+
+def _view(scene: Any, flight: Any) -> Any:
+    import numpy as np
+
+    times = np.linspace(float(flight.start), float(flight.end), ALONG)
+    return view_of_shots(scene.sensor, [(flight, time) for time in times.tolist()])
 
 
 def _check_count(wishes: tuple[str, float | None, Place], flight: Any, start: float | None) -> None:

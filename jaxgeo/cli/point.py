@@ -24,7 +24,8 @@ def point_command(
         list[str] | None,
         typer.Option(
             metavar="FILE",
-            help="Elevation model, to check visibility: a file, or a URL with --allow-remote; repeatable for tiles.",
+            help="Elevation model, to check visibility: a file, an archive (copernicus, ...), or a URL with "
+            "--allow-remote; repeatable for tiles.",
         ),
     ] = None,
     target: Annotated[
@@ -97,11 +98,17 @@ def _point(
         raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
     if pixel is not None and uv is not None:
         check_on_image(pixel, uv, scene.sensor.camera)
-    terrain = read_terrain(dem, reading) if dem else None
+    terrain = read_terrain(dem, reading, lambda: _view(shot, place)) if dem else None
     aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     with working("compiling and pointing"):
         found = point_gimbal(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
     return scene.sensor.gimbal.names, found, aim
+
+
+def _view(shot: Any, place: list[float]) -> Any:
+    from jaxgeo.io.archives import view_from
+
+    return view_from(shot.pose.position, place[0], place[1])
 
 
 def _aim(text: str) -> Any:

@@ -100,7 +100,7 @@ def _read(
     enable_x64()
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "a registration")
-    errors_of(sigmas, scene, scene_path, 1.0)  # checks the options early
+    known_errors = errors_of(sigmas, scene, scene_path, 1.0)  # checks the options early
     uv = pixels_in(pixels, scene.sensor.camera)
     reach = reading.reach
     how: dict[str, Any] = {"allow_remote": reach.remote, "allow_outside": reach.outside}
@@ -110,10 +110,16 @@ def _read(
     check_size(str(image), values.shape, scene.sensor.camera)
     with translate_reach_errors():
         reference, report = read_orthoimage_and_report(reference_path, bands[1], **how)
-    terrain = read_terrain(dem, reading)
+    terrain = read_terrain(dem, reading, lambda: _view(scene, shot, known_errors))
     errors = errors_of(sigmas, scene, scene_path, reference.ground_sampling)
     work = Work(image, values, known, scene_path, scene, shot, reference, report.raster, terrain, bands[0])
     return work, errors, uv
+
+
+def _view(scene: Any, shot: Any, errors: Errors) -> Any:
+    from jaxgeo.io.archives import view_of_image
+
+    return view_of_image(scene.sensor, shot, sources=errors.sources)
 
 
 def _register(work: Work, errors: Errors, block: int, probability: float) -> Any:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         with_positions,
         with_usual_errors,
     )
+    from jaxgeo.io.archives import ArchiveError, DemCache, FetchedDem, fetch_dem, fetch_geoid
     from jaxgeo.io.bal import BalProblem, read_bal, write_bal
     from jaxgeo.io.check_points import SurveyedPixels, check_points_of, read_check_points
     from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
@@ -52,10 +53,13 @@ if TYPE_CHECKING:
 __all__ = [
     "Acquisition",
     "AcquisitionSet",
+    "ArchiveError",
     "BalProblem",
+    "DemCache",
     "DemError",
     "DemFiles",
     "DemReport",
+    "FetchedDem",
     "GroundControl",
     "ImageError",
     "MapRaster",
@@ -76,6 +80,8 @@ __all__ = [
     "check_points_of",
     "errors_table",
     "example_dem",
+    "fetch_dem",
+    "fetch_geoid",
     "height_msl",
     "intersect_files",
     "locate_files",
@@ -124,6 +130,7 @@ _NAMES_OF = {
     "accuracy_map": "write_accuracy_map",
     "acquisitions": "Acquisition AcquisitionSet UnstatedDatum read_acquisition read_acquisitions with_positions "
     "with_usual_errors",
+    "archives": "ArchiveError DemCache FetchedDem fetch_dem fetch_geoid",
     "bal": "BalProblem read_bal write_bal",
     "check_points": "SurveyedPixels check_points_of read_check_points",
     "datasets": "accuracy_map_dataset samples_dataset",

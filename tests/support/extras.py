@@ -137,6 +137,17 @@ def catalogue(folder: pathlib.Path) -> None:
     assert abs(read_json(folder / "a.json")["bbox"][0] - 9.0) < 1e-6
 
 
+def search(folder: pathlib.Path) -> None:
+    """Tiles of a STAC collection: asked for at an address where no server is."""
+    from jaxgeo.io.archives import ArchiveError, DemCache, fetch_dem
+
+    try:
+        fetch_dem("stac:http://127.0.0.1:9/collections/a", bounds=(5.0, 5.0, 5.1, 5.1), cache=DemCache(folder))
+        raise AssertionError("there is no server")
+    except ArchiveError:
+        pass
+
+
 EXTRAS = {
     "cluster": Extra(
         ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pystac", "yaml"), (scheduler, catalogue)
@@ -145,6 +156,7 @@ EXTRAS = {
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),
     "orthority": Extra(("yaml",), (interior_parameters,)),
+    "stac": Extra(("pystac_client", "requests"), (search,)),
     "video": Extra(("av",), (telemetry,)),
     "xarray": Extra(("xarray",), (dataset,)),
 }

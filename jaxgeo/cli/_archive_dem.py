@@ -1,0 +1,68 @@
+"""Elevation models of open archives for --dem NAME: fetched for the lines of sight of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._option_names import translate_dem_errors
+from jaxgeo.cli._options import DemOptions
+from jaxgeo.cli._screen import print_message, working
+
+if TYPE_CHECKING:
+    from jaxgeo.io.archives import FetchedDem, View
+
+Look = Callable[[], "View"]
+_fetched: list[dict[str, Any]] = []
+
+
+def forget() -> None:
+    """Begin a new run."""
+    _fetched.clear()
+
+
+def told() -> dict[str, Any]:
+    """What was fetched in this run, as part of the JSON object of the command."""
+    return {"elevation_model": _fetched[-1]} if _fetched else {}
+
+
+def is_archive(dem: list[str]) -> bool:
+    """Whether --dem names an archive. Raises `UserError` if it names files too."""
+    if not any(any(mark in one for mark in "{:") or one.isidentifier() or "-" in one for one in dem):
+        return False
+    from jaxgeo.io.archives.catalogue import is_archive
+
+    named = [one for one in dem if is_archive(one)]
+    if named and len(dem) > 1:
+        other = next(one for one in dem if one != named[0])
+        raise UserError(f"--dem {named[0]} is an archive, and {other} another elevation model; give one of them.")
+    return bool(named)
+
+
+def fetch(name: str, options: DemOptions, look: Look | None) -> FetchedDem:
+    """The parts of an archive that a command needs; prints where they come from. Raises `UserError`."""
+    from jaxgeo.cli._inputs import bounds_in, datum
+    from jaxgeo.io.archives import fetch_dem
+
+    if (options.dem_band or 1) != 1:
+        raise UserError(f"--dem-band {options.dem_band}: the tiles of archives have one band; leave it out.")
+    edges = bounds_in(options)
+    if edges is None and look is None:
+        raise UserError(f"--dem {name}: say for which ground, with --dem-bounds WEST,SOUTH,EAST,NORTH in deg.")
+    view = look() if edges is None and look is not None else None
+    more = {} if view is None else {"rays": view.rays, "spread": view.spread, "beside": view.beside}
+    with working("fetching the elevation model"), translate_dem_errors():
+        found = fetch_dem(
+            name,
+            bounds=edges,
+            vertical_datum=datum(options.vertical_datum),
+            mirror=options.mirror,
+            proxy=options.proxy,
+            offline=options.offline,
+            **more,
+        )
+    for message in found.messages():
+        print_message(f"elevation model: {message}")
+    _fetched.append(found.to_dict())
+    return found

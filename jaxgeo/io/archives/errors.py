@@ -1,0 +1,13 @@
+"""Exceptions of reading archives."""
+
+from __future__ import annotations
+
+from jaxgeo.io.errors import DemError
+
+
+class ArchiveError(DemError):
+    """An archive of elevation tiles that cannot be read; the message says what is missing and what to do."""
+
+
+class Unreachable(ArchiveError):
+    """A server that gives no usable answer."""
