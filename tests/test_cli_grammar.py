@@ -94,6 +94,7 @@ LINES = [
     "inspect opk.csv --source-crs EPSG:32616 --height-datum EPSG:5773 --json",
     "inspect reconstruction.json --camera one --height-datum -31 --json",
     "point --scene scene.toml --line-of-sight 250,18.5 --pixel 1200,2400 --json",
+    "scene DJI_0042.JPG --height-datum ellipsoid -o out.toml --json --debug",
 ]
 LONG_LINES = [
     f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --shard 1/1 --debug",
@@ -110,6 +111,8 @@ LONG_LINES = [
     f"overlap {SCENE} --navigation flight.csv --times 101,103 --along rows --vertical-datum EPSG:5773 "
     "--height-datum ellipsoid -o out.csv --format csv --json --debug",
     f"overlap {SCENE} --shots shots.csv",
+    "footprint DJI_0042.JPG --height-datum ellipsoid --dem dem.tif",
+    "point DJI_0042.JPG --height-datum ellipsoid --target 36.3155,-84.104,340 --json",
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 --timing ground --place near --start 110 --along rows "
     "--vertical-datum EPSG:5773 --height-datum ellipsoid -o out.csv --json --debug",
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
@@ -127,6 +130,10 @@ LONG_LINES = [
 READING = (
     "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84 --allow-remote "
     "--allow-outside"
+)
+FILE = (
+    "--takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged --stream 1 "
+    "--errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --exposure a"
 )
 MANY = "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
 MANY_MORE = [
@@ -160,6 +167,12 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 {READING} -o out.csv",
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
+    f"footprint FILE --dem dem.tif {FILE}",
+    f"point FILE --target 1,2,3 {FILE} --height-datum ellipsoid",
+    f"overlap FILE --dem dem.tif {FILE}",
+    f"scene FILE {FILE} --scene camera.toml --height-datum ellipsoid -o out.toml",
+    f"register FILE --reference ortho.tif --dem dem.tif {FILE.removesuffix(' --exposure a')} --height-datum ellipsoid "
+    "-o out",
     f"study gu2017 --image a --reference b --dem c --scene d {READING}",
     f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --refraction --details 0 -o out.html",
     "inspect video.ts --stream 1",

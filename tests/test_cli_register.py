@@ -8,6 +8,7 @@ import pathlib
 import shutil
 import sys
 import warnings
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -363,7 +364,7 @@ def test_mistakes(inputs, monkeypatch, arguments: list[str], words: list[str]) -
 @pytest.mark.parametrize("dem, length", [(None, None), (3.0, None), (3.0, 80.0), (3.0, 0.0), (0.0, None)])
 def test_half_of_the_variance_of_heights_is_common_to_all(dem: float | None, length: float | None) -> None:
     sigmas = Sigmas(position="30", attitude="0.3", reference=1.0, registration=0.5, dem=dem, dem_correlation=length)
-    found = errors_of(sigmas, None, pathlib.Path("scene.toml"), 1.0)
+    found = errors_of(sigmas, SimpleNamespace(errors=None), pathlib.Path("scene.toml"), 1.0)
     expected = DEM_SIGMA if dem is None else dem
     common = [float(source.sigma[0]) for source in found.sources if isinstance(source, TerrainHeight)]
     assert sum(one**2 for one in common) == pytest.approx(expected**2 / 2.0)

@@ -37,6 +37,7 @@ from jaxgeo.cli.point import point_command
 from jaxgeo.cli.rectify import rectify_command
 from jaxgeo.cli.register import register_command
 from jaxgeo.cli.report import report_command
+from jaxgeo.cli.scene import scene_command
 from jaxgeo.cli.study import studies
 from jaxgeo.cli.validate import validate_command
 
@@ -95,6 +96,7 @@ _add("plan", plan_command)
 _add("rectify", rectify_command)
 _add("register", register_command)
 _add("dem", dem_command)
+_add("scene", scene_command)
 _add("demo", demo_command)
 app.add_typer(studies, name="study")
 

@@ -59,6 +59,10 @@ EXAMPLES = {
         "jaxgeo dem --for DJI_0042.JPG --height-datum ellipsoid",
         "jaxgeo dem",
     ),
+    "scene": (
+        "jaxgeo scene DJI_0042.JPG --height-datum ellipsoid -o scene.toml",
+        "jaxgeo scene flight.klv --exposure flight.klv#1 -o scene.toml",
+    ),
     "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),
     "li2020": ("jaxgeo study li2020 -o tables",),
     "li2023": ("jaxgeo study li2023 --samples 5000",),

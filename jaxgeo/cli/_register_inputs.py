@@ -23,7 +23,6 @@ from jaxgeo.cli._errors import (
     checked_sigma,
     gimbal_errors,
     interior_errors,
-    pixel_pitch_of,
     position_errors,
 )
 from jaxgeo.cli._inputs import check_on_image, numbers_in
@@ -42,21 +41,27 @@ class Sigmas(OptionGroup):
     """Standard deviations as typed; None if not given."""
 
     position: Annotated[
-        str,
-        typer.Option("--position-sigma", metavar="SIGMA", help="Position standard deviation, m, or NORTH,EAST,DOWN."),
-    ]
-    attitude: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--attitude-sigma", metavar="SIGMA", help="Attitude standard deviation, deg, or HEADING,PITCH,ROLL."
+            "--position-sigma",
+            metavar="SIGMA",
+            help="Position standard deviation, m, or NORTH,EAST,DOWN (default: of the image or scene).",
         ),
-    ]
+    ] = None
+    attitude: Annotated[
+        str | None,
+        typer.Option(
+            "--attitude-sigma",
+            metavar="SIGMA",
+            help="Attitude standard deviation, deg, or HEADING,PITCH,ROLL (default: of the image or scene).",
+        ),
+    ] = None
     gimbal: Annotated[
         str | None,
         typer.Option(
             "--gimbal-sigma",
             metavar="SIGMA",
-            help="Gimbal reading standard deviation, deg, or one per axis (default: exact).",
+            help="Gimbal reading standard deviation, deg, or one per axis (default: of the image or scene, or exact).",
         ),
     ] = None
     focal: Annotated[
@@ -105,16 +110,28 @@ class Errors(NamedTuple):
     assumed: list[str]
 
 
-def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float) -> Errors:
-    """Error sources from options; `cell` is the cell size of the reference in m. Raises `UserError`."""
+def errors_of(sigmas: Sigmas, scene: Any, where: pathlib.Path, cell: float, pitch: float | None = None) -> Errors:
+    """Error sources from options, and from the scene for what they leave out.
+
+    `where` is the file of the pose, `cell` the cell size of the reference in m, `pitch` the pixel pitch. Raises
+    `UserError`.
+    """
     from jaxgeo.register import TieErrors
     from jaxgeo.uncertainty import sources
 
-    found: list[Any] = [position_errors(sigmas.position), attitude_errors(sigmas.attitude)]
+    stated = () if scene.errors is None else scene.errors.sources
+    of = lambda *kinds: [one for one in stated if isinstance(one, kinds)]  # noqa: E731
+    position = of(sources.Position) if sigmas.position is None else [position_errors(sigmas.position)]
+    attitude = of(sources.Attitude) if sigmas.attitude is None else [attitude_errors(sigmas.attitude)]
+    gimbal = of(sources.GimbalAngles)
     if sigmas.gimbal is not None:
-        found.append(gimbal_errors(sigmas.gimbal, scene.sensor.gimbal, scene_path))
+        gimbal = [gimbal_errors(sigmas.gimbal, scene.sensor.gimbal, where)]
+    for name, found in (("position", position), ("attitude", attitude or gimbal)):
+        if not found:
+            raise UserError(f"--{name}-sigma is missing, and {where} states none.")
+    found: list[Any] = [*position, *attitude, *gimbal]
     if sigmas.focal is not None or sigmas.principal is not None:
-        lens = interior_errors(sigmas.focal, sigmas.principal, scene_path, pixel_pitch_of(scene_path))
+        lens = interior_errors(sigmas.focal, sigmas.principal, where, pitch)
         if lens is None:
             raise UserError("--focal-sigma and --principal-sigma are zero: leave out what is exact.")
         found.append(lens)

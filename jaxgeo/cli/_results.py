@@ -44,10 +44,12 @@ def version() -> str:
 
 
 def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Given options by name, from the `locals()` at the start of a command; groups of options as their fields."""
+    """Given options by name, from the `locals()` at the start of a command; groups of options as their fields, without
+    flags that are not set."""
     found: dict[str, Any] = {}
     for name, value in options.items():
-        found |= vars(value) if isinstance(value, OptionGroup) else {name: value}
+        of_group = isinstance(value, OptionGroup)
+        found |= {key: one for key, one in vars(value).items() if one is not False} if of_group else {name: value}
     return {name: plain(value) for name, value in found.items() if name not in NOT_ASKED and value is not None}
 
 

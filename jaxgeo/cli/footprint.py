@@ -11,17 +11,20 @@ import typer
 
 from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import number_in
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shot_of, shots_of, single, view_of_shots
-from jaxgeo.cli._options import DemFiles, DemOptions, HeightDatum, SceneFile, ShotsFile
+from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
+from jaxgeo.cli._options import DemFiles, DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
 ENDINGS = (".geojson", ".json", ".gpkg")
 COLUMNS = {
     "shot": ("shot", "d"),
+    "name": ("image", ""),
     "area_km2": ("area, km2", ".3f"),
     "hidden_m": ("hidden, m", ".1f"),
     "columns_m": ("columns", ".3f"),
@@ -37,11 +40,10 @@ CAPTION = (
 
 
 def footprint_command(
-    scene: SceneFile,
+    given: ExposureOrShotOptions,
     dem: DemFiles,
-    shots: ShotsFile = None,
     reading: DemOptions = DemOptions(),
-    height_datum: HeightDatum = None,
+    how: ReadingOptions = ReadingOptions(),
     output: Annotated[
         pathlib.Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="File to write (.geojson, .json, .gpkg); default: none."),
@@ -63,11 +65,10 @@ def footprint_command(
             _check_output(output)
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
-        if height_datum is not None and shots is None:
-            raise UserError(f"--height-datum {height_datum} applies to the heights of --shots FILE; leave it out.")
-        check_no_overwrite("--output", output, [scene, shots], dem, reading)
-        rows, outlines = _footprint(scene, dem, reading, shots, height_datum, output, (crs, tolerance, edges))
-        _show(rows, outlines, inputs if as_json else None)
+        given.check(how)
+        check_no_overwrite("--output", output, given.inputs(how), dem, reading)
+        exposures, rows, outlines = _footprint((given, how), dem, reading, output, (crs, tolerance, edges))
+        _show(exposures, rows, outlines, inputs if as_json else None)
 
 
 def _check_output(output: pathlib.Path) -> None:
@@ -77,43 +78,39 @@ def _check_output(output: pathlib.Path) -> None:
 
 
 def _footprint(
-    scene_path: pathlib.Path,
+    of: tuple[ExposureOrShotOptions, ReadingOptions],
     dem: list[str],
     reading: DemOptions,
-    shots_path: pathlib.Path | None,
-    height_datum: str | None,
     output: pathlib.Path | None,
     drawn: tuple[str, float, bool],
-) -> tuple[list[dict[str, Any]], list[Any]]:
-    """(table rows, footprints) of the shots, written to `output` if given."""
+) -> tuple[GivenExposures, list[dict[str, Any]], list[Any]]:
+    """(exposures, table rows, footprints), written to `output` if given."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
     from jaxgeo.io.footprints import check_footprint_file
-    from jaxgeo.io.scene import read_scene
 
     compile_quickly()
     enable_x64()
     crs, tolerance, edges = drawn
-    scene = read_scene(scene_path)
-    if shots_path is None:
-        shots, carried = [shot_of(scene, scene_path, "a footprint without --shots")], [{}]
-    else:
-        batch, carried = shots_of(scene, scene_path, shots_path, height_datum)
-        shots = list(single(batch))
+    given, how = of
+    found = given.read(how, "a footprint without --shots")
+    attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:
-        check_footprint_file(output, crs, _attributes(carried), len(shots))
-    terrain = read_terrain(dem, reading, lambda: view_of_shots(scene.sensor, shots))
+        check_footprint_file(output, crs, attributes, len(found.exposures))
+    terrain = read_terrain(dem, reading, found.view)
     outlines, rows = [], []
-    for index, shot in enumerate(track(shots, "computing footprints")):
-        outline, row = _footprint_of(scene, shot, terrain, tolerance)
+    for index, one in enumerate(track(found.exposures, "computing footprints")):
+        outline, row = _footprint_of(one, terrain, tolerance)
         outlines.append(outline)
-        rows.append({"shot": index, **row})
+        rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
-        write_footprints(output, outlines, crs=crs, attributes=_attributes(carried), edges=edges)
-    return rows, outlines
+        write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges)
+    return found, rows, outlines
 
 
-def _show(rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any] | None) -> None:
+def _show(
+    exposures: GivenExposures, rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any] | None
+) -> None:
     """Print a table, or with `inputs` the full result as JSON; status counts on stderr."""
     from jaxgeo.io.footprints import WHOLE
 
@@ -122,9 +119,11 @@ def _show(rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any
     if inputs is not None:
         each = zip(rows, outlines, strict=True)
         content = [{**row, **status_words(one.status, WHOLE), "outline": _places(one)} for row, one in each]
-        print_json("footprint", {"inputs": inputs, "footprints": content})
+        print_json("footprint", {"inputs": inputs, "footprints": content, "unread": exposures.unread})
         return
-    Console(width=None if Console().is_terminal else 160).print(number_table(rows, COLUMNS, CAPTION))
+    other = "shot" if exposures.are_named else "name"
+    columns = {name: column for name, column in COLUMNS.items() if name != other}
+    Console(width=None if Console().is_terminal else 160).print(number_table(rows, columns, CAPTION))
 
 
 def _places(outline: Any) -> list[dict[str, Any]]:
@@ -140,15 +139,16 @@ def _places(outline: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _footprint_of(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
-    """(footprint of a shot, its table row)."""
+def _footprint_of(one: GivenExposure, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
+    """(footprint of an exposure, its table row)."""
     from jaxgeo.coverage import footprint, ground_sample_distance
+    from jaxgeo.io.observations import frame_camera_of
     from jaxgeo.status import Status
 
-    camera, air = scene.sensor.camera, scene.atmosphere
+    camera, air = frame_camera_of(one.sensor), one.atmosphere
     middle = [0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]
-    outline = footprint(scene.sensor, shot, terrain, tolerance=tolerance, atmosphere=air)
-    pixel = ground_sample_distance(scene.sensor, shot, middle, terrain, atmosphere=air)
+    outline = footprint(one.sensor, one.shot, terrain, tolerance=tolerance, atmosphere=air)
+    pixel = ground_sample_distance(one.sensor, one.shot, middle, terrain, atmosphere=air)
     sizes = {f"{name}_m": _known(getattr(pixel, name)) for name in ("columns", "rows", "along", "across")}
     area = _known(1e-6 * outline.area)
     row = {"area_km2": area, "hidden_m": _known(outline.hidden_length), **sizes}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import pathlib
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -12,11 +13,13 @@ import typer
 
 from jaxgeo._destination import destination, is_device
 from jaxgeo._text_numbers import numbers_in
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shots_of, single, trajectory_of, view_of_shots
-from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, NavigationFile, SceneFile, ShotsFile
+from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures, sensors_differ
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of
+from jaxgeo.cli._options import Along, DemFiles, DemOptions, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
@@ -47,16 +50,15 @@ class Format(StrEnum):
 
 
 def overlap_command(
-    scene: SceneFile,
+    given: ExposureOrShotOptions,
     dem: DemFiles,
     navigation: NavigationFile = None,
     times: Annotated[
         str | None, typer.Option(metavar="TIMES", help="Exposure times T1,T2[,...], s, with --navigation.")
     ] = None,
-    shots: ShotsFile = None,
     along: Along = None,
     reading: DemOptions = DemOptions(),
-    height_datum: HeightDatum = None,
+    how: ReadingOptions = ReadingOptions(),
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, table on the terminal.")
     ] = None,
@@ -71,35 +73,30 @@ def overlap_command(
     inputs = given_options(locals())
     with report_errors(debug):
         chosen = _chosen_format(output_format, output)
-        moments = _moments(navigation, times, shots)
-        check_no_overwrite("--output", output, [scene, navigation, shots], dem, reading)
+        moments = _moments(navigation, times, given)
+        if navigation is None:
+            given.check(how)
+        check_no_overwrite("--output", output, [navigation, *given.inputs(how)], dem, reading)
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
-            from jaxgeo.io.scene import read_scene
             from jaxgeo.status import Status
 
             compile_quickly()
             enable_x64()
-            given = read_scene(scene)
             if navigation is not None:
-                images = _exposures(given, scene, navigation, moments, height_datum)
+                images = _at_times(given.scene, navigation, moments, how.height_datum)
             else:
-                images = _images(given, scene, shots, height_datum)
-            terrain = read_terrain(
-                dem, reading, lambda: view_of_shots(given.sensor, [_motion(one) for _, one in images])
+                images = given.read(how, "overlap without --shots")
+                _check_several(images, given)
+            rows = _overlaps(
+                images.exposures, read_terrain(dem, reading, images.view), None if along is None else along.value
             )
-            rows = _overlaps(given, images, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:
                 _write(rows, chosen, stream)
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
-            print_json("overlap", {"inputs": inputs, "pairs": pairs})
-
-
-def _motion(exposure: Any) -> Any:
-    """A shot, or (trajectory, time)."""
-    return (exposure.trajectory, exposure.time) if hasattr(exposure, "trajectory") else exposure
+            print_json("overlap", {"inputs": inputs, "pairs": pairs, "unread": images.unread})
 
 
 def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:
@@ -112,10 +109,15 @@ def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:
     raise UserError(f"--output {output}: {name_says(output)}; use .csv, or give --format table.")
 
 
-def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
+def _moments(navigation: Any, times: str | None, given: ExposureOrShotOptions) -> list[float]:
     """The exposure times in s."""
-    if (navigation is None) == (shots is None) or (navigation is None) != (times is None):
-        raise UserError("give either --navigation FILE with --times T1,T2[,...], or --shots FILE.")
+    others = given.shots is not None or not given.is_scene
+    if (navigation is None) != (times is None) or (navigation is None) != others:
+        raise UserError(
+            "give FILEs of exposures, or --scene with --navigation FILE and --times T1,T2[,...], or with --shots FILE."
+        )
+    if navigation is not None and given.scene is None:
+        raise UserError(f"--navigation {navigation} needs --scene SCENE.toml for the camera.")
     if times is None:
         return []
     found = numbers_in(times.split(","))
@@ -130,44 +132,45 @@ def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
     return found
 
 
-def _exposures(
-    scene: Any, path: pathlib.Path, navigation: pathlib.Path, times: list[float], height_datum: str | None
-) -> list[tuple[str, Any]]:
-    """(name, exposure) at times on a trajectory."""
+def _at_times(
+    path: pathlib.Path | None, navigation: pathlib.Path, times: list[float], height_datum: str | None
+) -> GivenExposures:
+    """Exposures at times on a trajectory."""
     import jax.numpy as jnp
 
     from jaxgeo.coverage import MovingExposure
+    from jaxgeo.io.scene import read_scene
 
+    assert path is not None
+    scene = read_scene(path)
     flight = trajectory_of(scene, path, navigation, height_datum)
     start, end = float(flight.start), float(flight.end)
     for time in times:
         if not start <= time <= end:
             raise UserError(f"--times: {time:.9g} s is outside {navigation}, which covers {start:.9g} to {end:.9g} s.")
-    return [(f"{time:.9g} s", MovingExposure(flight, jnp.asarray(time))) for time in times]
+    exposures = [(f"{time:.9g} s", scene.sensor, MovingExposure(flight, jnp.asarray(time))) for time in times]
+    return GivenExposures([GivenExposure(*one, scene.atmosphere) for one in exposures], True)
 
 
-def _images(
-    scene: Any, path: pathlib.Path, table: pathlib.Path | None, height_datum: str | None
-) -> list[tuple[str, Any]]:
-    """(name, shot) of each table row, in order."""
-    if table is None:
-        return []
-    batch, rows = shots_of(scene, path, table, height_datum)
-    if len(rows) < 2:
-        raise UserError(f"{table}: overlap needs at least two rows.")
-    return [(str(index), shot) for index, shot in enumerate(single(batch))]
+def _check_several(images: GivenExposures, given: ExposureOrShotOptions) -> None:
+    if len(images.exposures) < 2:
+        what = given.shots or given.scene_file or (given.files or [""])[0]
+        count = "rows" if given.shots is not None else "exposures"
+        raise UserError(f"{what}: overlap needs at least two {count}.")
 
 
-def _overlaps(scene: Any, images: list[tuple[str, Any]], terrain: Any, along: Any) -> list[dict[str, Any]]:
+def _overlaps(images: Sequence[GivenExposure], terrain: Any, along: Any) -> list[dict[str, Any]]:
     from jaxgeo.coverage import overlap
     from jaxgeo.status import Status
 
     rows = []
-    for (name, before), (next_name, after) in track(list(itertools.pairwise(images)), "computing overlaps"):
-        found: Any = overlap(scene.sensor, before, after, terrain, along=along, atmosphere=scene.atmosphere)
+    for before, after in track(list(itertools.pairwise(images)), "computing overlaps"):
+        own = after.sensor if sensors_differ(before.sensor, after.sensor) else None
+        how = {"along": along, "atmosphere": before.atmosphere, "sensor_after": own}
+        found: Any = overlap(before.sensor, before.shot, after.shot, terrain, **how)
         numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
         row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
-        rows.append({"before": name, "after": next_name, **row, "status": Status(int(found.status)).name})
+        rows.append({"before": before.name, "after": after.name, **row, "status": Status(int(found.status)).name})
     return rows
 
 

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import pathlib
 from typing import Annotated, Any
 
 import typer
 
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, numbers_in, read_terrain, shot_of
-from jaxgeo.cli._options import DemOptions, HeightDatum, SceneFile
+from jaxgeo.cli._exposures import ExposureOptions
+from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, numbers_in, read_terrain
+from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import stderr, working
+from jaxgeo.sensor import Shot
 
 UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
 
 
 def point_command(
-    scene: SceneFile,
+    given: ExposureOptions,
     dem: Annotated[
         list[str] | None,
         typer.Option(
@@ -43,11 +45,11 @@ def point_command(
         str | None, typer.Option(metavar="PIXEL", help="COLUMN,ROW to point (default: optical axis).")
     ] = None,
     reading: DemOptions = DemOptions(),
-    height_datum: HeightDatum = None,
+    how: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Gimbal readings that point a pixel at a ground point, or along a line of sight, from the pose of a scene.
+    """Gimbal readings that point a pixel at a ground point, or along a line of sight, from a pose.
 
     The exit code is 1 if the target is outside the gimbal range (the nearest readings are given) or hidden by terrain.
     """
@@ -57,7 +59,7 @@ def point_command(
             check_goes_with_dem(reading)
             if reading.vertical_datum is not None:
                 raise UserError(f"--vertical-datum {reading.vertical_datum} applies to --dem; leave it out.")
-        names, found, aim = _point(scene, dem or [], reading, (target, line_of_sight, pixel), height_datum)
+        names, found, aim = _point((given, how), dem or [], reading, (target, line_of_sight, pixel))
         code = _print_readings(names, found, UNHIDDEN if not dem else None, as_json)
         if as_json:
             meaning = UNHIDDEN if not dem else None
@@ -68,13 +70,14 @@ def point_command(
 
 
 def _point(
-    scene_path: pathlib.Path,
+    of: tuple[ExposureOptions, ReadingOptions],
     dem: list[str],
     reading: DemOptions,
     texts: tuple[str | None, str | None, str | None],
-    height_datum: str | None,
 ) -> tuple[tuple[str, ...], Any, Any]:
     """(axis names, pointing, target)."""
+    given, how = of
+    height_datum = how.height_datum
     target, direction, pixel = texts
     if (target is None) == (direction is None):
         raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
@@ -83,8 +86,11 @@ def _point(
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
     if len(place) == 2 and not dem:
         raise UserError(f"--target {target}: give its height, LAT,LON,HEIGHT, or --dem.")
-    if height_datum is not None and len(place) != 3:
+    if height_datum is not None and len(place) != 3 and given.is_scene:
         raise UserError(f"--height-datum {height_datum} applies to a target height: --target LAT,LON,HEIGHT.")
+    if height_datum is None and len(place) == 3 and not given.is_scene:
+        raise UserError(f"--target {target}: say what its height is above, with --height-datum.")
+    given.check(how, has_heights=True)
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
     from jaxgeo.coverage import point_gimbal
@@ -92,17 +98,26 @@ def _point(
 
     compile_quickly()
     enable_x64()
-    scene = read_scene(scene_path)
-    shot = shot_of(scene, scene_path, "pointing")
-    if not scene.sensor.gimbal.names:
-        raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
+    found = given.read(how, "pointing").exposures
+    if len(found) != 1:
+        raise UserError(
+            f"{(given.files or [''])[0]} has {len(found)} exposures; name one with --exposure {found[0].name}."
+        )
+    (one,) = found
+    sensor, shot = one.sensor, one.shot
+    stated = None if height_datum is None else as_datum(height_datum)
+    if given.scene_file is not None and stated is None:
+        stated = read_scene(given.scene_file).height_datum
+    assert isinstance(shot, Shot)
+    if not sensor.gimbal.names:
+        raise UserError(f"{one.name}: a gimbal of kind 'fixed' has no readings to point with.")
     if pixel is not None and uv is not None:
-        check_on_image(pixel, uv, scene.sensor.camera)
+        check_on_image(pixel, uv, sensor.camera)
     terrain = read_terrain(dem, reading, lambda: _view(shot, place)) if dem else None
-    aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
+    aim = _aim(direction) if direction is not None else _target(stated, place, terrain)
     with working("compiling and pointing"):
-        found = point_gimbal(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
-    return scene.sensor.gimbal.names, found, aim
+        pointed = point_gimbal(sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=one.atmosphere)
+    return sensor.gimbal.names, pointed, aim
 
 
 def _view(shot: Any, place: list[float]) -> Any:
@@ -118,7 +133,7 @@ def _aim(text: str) -> Any:
     return LineOfSight.from_degrees(azimuth=azimuth, depression=depression)
 
 
-def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | None) -> Any:
+def _target(stated: Any, place: list[float], terrain: Any) -> Any:
     """The target point, with the given height or that of the ground; printed on stderr."""
     import math
 
@@ -130,7 +145,6 @@ def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | No
     if terrain is not None:
         _check_is_on(terrain, place)
     if len(place) == 3:
-        stated = scene.height_datum if height_datum is None else as_datum(height_datum)
         height = float(ellipsoidal_heights([lon], [lat], [place[2]], stated)[0])
     else:
         assert terrain is not None

@@ -2,37 +2,54 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import pathlib
+import tempfile
 import time
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import typer
 
-from jaxgeo.cli._common import NO_ANSWER, Debug, report_errors
+from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._errors import pixel_pitch_of
 from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
-from jaxgeo.cli._option_names import translate_reach_errors
-from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand, SceneFile
+from jaxgeo.cli._option_names import translate_reach_errors, typed
+from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
 from jaxgeo.cli._screen import print_message, working
+from jaxgeo.cli.scene import write_scene_of
 
 
 def register_command(
     image: Annotated[
-        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, same size as the scene's camera.")
+        pathlib.Path,
+        typer.Argument(
+            metavar="IMAGE", help="Image file with its own pose (a drone image), or of the size of the scene's camera."
+        ),
     ],
     reference: Annotated[pathlib.Path, typer.Option(metavar="FILE", help="Orthoimage of the same area, in any CRS.")],
     dem: DemFiles,
-    scene: SceneFile,
     output: Annotated[
         pathlib.Path,
         typer.Option("--output", "-o", metavar="FOLDER", help="Output folder; created if missing."),
     ],
-    sigmas: Sigmas,
+    sigmas: Sigmas = Sigmas(),
+    scene: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--scene",
+            metavar="FILE",
+            help="Scene file (TOML): camera, gimbal, mount and pose; for an IMAGE that does not state its own.",
+        ),
+    ] = None,
     reading: DemOptionsBesideBand = DemOptionsBesideBand(),
+    how: ReadingOptions = ReadingOptions(),
     block: Annotated[int, typer.Option(help="Largest block size, cells; 32 or more.")] = 300,
     probability: Annotated[
         float, typer.Option(help="Probability that the true shift is inside the search window; between 0.5 and 1.")
@@ -51,7 +68,7 @@ def register_command(
     Writes scene.toml, ties.geojson, ortho.tif, report.json and registration.png into the folder. The exit code is 1
     if the image is not registered: then there is no scene and no orthoimage, and the report has the reason.
     """
-    typed = given_options(locals())
+    options = given_options(locals())
     with report_errors(debug):
         from jaxgeo.io.paths import files_behind
         from jaxgeo.io.registration_report import write_registration_report
@@ -59,32 +76,47 @@ def register_command(
         check_search(block, probability)
         began = time.perf_counter()
         rasters = [file for one in (image, reference) for file in files_behind(one, reading.reach)]
-        check_folder(output, [*rasters, scene, *terrain_files(dem, reading)])
-        work, errors, pixels = _read(image, reference, dem, reading, scene, sigmas, pixel or [], (band, reference_band))
-        output.mkdir(parents=True, exist_ok=True)
-        for one in errors.assumed:
-            print_message(f"assumed: {one}")
-        with working("compiling and registering"):
-            found = _register(work, errors, block, probability)
-        found_by = time.perf_counter() - began
-        given = dataclasses.asdict(sigmas)
-        inputs = {name: value for name, value in typed.items() if name == "dem_correlation" or name not in given}
-        inputs |= {"sigmas": given}
-        with new_results(output):
-            content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
-            content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
-            write_registration_report(output / "report.json", content)
+        own = [one for one in (scene, how.positions) if one is not None]
+        check_folder(output, [*rasters, *own, *terrain_files(dem, reading)])
+        with _scene_of(image, scene, how) as path:
+            files = image, reference, path
+            work, errors, pixels = _read(files, dem, reading, sigmas, pixel or [], (band, reference_band))
+            output.mkdir(parents=True, exist_ok=True)
+            for one in errors.assumed:
+                print_message(f"assumed: {one}")
+            with working("compiling and registering"):
+                found = _register(work, errors, block, probability)
+            found_by = time.perf_counter() - began
+            given = dataclasses.asdict(sigmas)
+            inputs = {name: value for name, value in options.items() if name == "dem_correlation" or name not in given}
+            inputs |= {"sigmas": given}
+            with new_results(output):
+                content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
+                content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
+                write_registration_report(output / "report.json", content)
         print_report(content, output, found, as_json)
     if not found.accepted:
         raise typer.Exit(NO_ANSWER)
 
 
+@contextlib.contextmanager
+def _scene_of(image: pathlib.Path, scene: pathlib.Path | None, how: ReadingOptions) -> Iterator[pathlib.Path]:
+    """The scene file; of an image that states its own pose one that is written for it. Raises `UserError`."""
+    if scene is not None:
+        for name in how.arguments:
+            raise UserError(f"{typed(name)} is for an IMAGE that states its own pose; leave it out with --scene.")
+        yield scene
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder) / f"{image.name}.toml"
+        write_scene_of(image, path, None, None, how)
+        yield path
+
+
 def _read(
-    image: pathlib.Path,
-    reference_path: pathlib.Path,
+    files: tuple[pathlib.Path, pathlib.Path, pathlib.Path],
     dem: list[str],
     reading: DemOptions,
-    scene_path: pathlib.Path,
     sigmas: Sigmas,
     pixels: list[str],
     bands: tuple[list[int] | None, list[int] | None],
@@ -98,9 +130,11 @@ def _read(
 
     compile_quickly()
     enable_x64()
+    image, reference_path, scene_path = files
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "a registration")
-    known_errors = errors_of(sigmas, scene, scene_path, 1.0)  # checks the options early
+    pitch = pixel_pitch_of(scene_path)
+    known_errors = errors_of(sigmas, scene, scene_path, 1.0, pitch)  # checks the options early
     uv = pixels_in(pixels, scene.sensor.camera)
     reach = reading.reach
     how: dict[str, Any] = {"allow_remote": reach.remote, "allow_outside": reach.outside}
@@ -111,7 +145,7 @@ def _read(
     with translate_reach_errors():
         reference, report = read_orthoimage_and_report(reference_path, bands[1], **how)
     terrain = read_terrain(dem, reading, lambda: _view(scene, shot, known_errors))
-    errors = errors_of(sigmas, scene, scene_path, reference.ground_sampling)
+    errors = errors_of(sigmas, scene, scene_path, reference.ground_sampling, pitch)
     work = Work(image, values, known, scene_path, scene, shot, reference, report.raster, terrain, bands[0])
     return work, errors, uv
 

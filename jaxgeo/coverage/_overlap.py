@@ -98,6 +98,7 @@ def overlap(
     stations: int = STATIONS,
     atmosphere: Atmosphere | None = None,
     projection: TransverseMercator | None = None,
+    sensor_after: Sensor | None = None,
 ) -> Overlap:
     """Overlap of two images on the terrain: frames, or strips of a scan.
 
@@ -105,7 +106,7 @@ def overlap(
     of flight, a vector (easting, northing) on the map, by default from the first platform position to the second.
     `along` names the image axis along the flight; by default it is determined, which needs concrete values. The map is
     `local_projection(before)` unless a `projection` is given. Strips side by side overlap in the same way, along the
-    step from one to the other.
+    step from one to the other. `sensor_after` is the sensor of the second image, if it is another one.
     Between the ends of a jump, where a ridge hides ground, an edge is taken as straight.
     Differentiable. Raises `ValueError` for images from one position without a `direction`.
     """
@@ -114,14 +115,15 @@ def overlap(
     check_terrain(terrain, FIRST_HIT)
     air = checked_air(atmosphere)
     sensor, before = checked_image(sensor, before)
-    _, after = checked_image(sensor, after)
+    other, after = checked_image(sensor if sensor_after is None else sensor_after, after)
     projection = local_projection(before) if projection is None else projection
     if direction is None:
         direction = flight_direction(before, after, projection)
     way: Any = as_float64(direction, "direction")
     way = way / safe_norm(way)
     along = axis_along(sensor, before, way, terrain, projection) if along is None else along
-    return _overlap(sensor, before, after, terrain, way, along, stations, air, projection)
+    sensors = (sensor,) if sensor_after is None else (sensor, other)
+    return _overlap(sensors, before, after, terrain, way, along, stations, air, projection)
 
 
 def check_stations(stations: int) -> None:
@@ -250,7 +252,7 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
 
 @quick_filter_jit
 def _overlap(
-    sensor: Sensor,
+    sensors: tuple[Sensor, ...],
     before: Image,
     after: Image,
     terrain: AbstractTerrain,
@@ -260,14 +262,14 @@ def _overlap(
     air: Atmosphere | None,
     projection: TransverseMercator,
 ) -> Overlap:
-    def edges(image: Image) -> Edges:
+    def edges(image: Image, sensor: Sensor = sensors[0]) -> Edges:
         return edges_on_map(ground_edges(sensor, image, terrain, along, stations, air), direction, projection)
 
-    if _are_alike(before, after):  # the search of the terrain is half of the program
+    if _are_alike(before, after) and len(sensors) == 1:  # the search of the terrain is half of the program
         both = jax.vmap(edges)(jax.tree.map(lambda *x: jnp.stack(x), before, after))
         first, second = (jax.tree.map(lambda x, k=k: x[k], both) for k in range(2))
     else:
-        first, second = edges(before), edges(after)
+        first, second = edges(before), edges(after, sensors[-1])
     return shared(first, second, direction, stations)
 
 

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
     from jaxgeo.io.rectified import RectifiedFile, rectify_file
     from jaxgeo.io.regions import write_probability_map, write_region
+    from jaxgeo.io.scene_from_records import write_scene
     from jaxgeo.io.scene_writer import write_updated_scene
     from jaxgeo.io.tie_points import TieRow, write_tie_points
 
@@ -121,6 +122,7 @@ __all__ = [
     "write_orthoimage",
     "write_probability_map",
     "write_region",
+    "write_scene",
     "write_tie_points",
     "write_updated_scene",
 ]
@@ -159,6 +161,7 @@ _NAMES_OF = {
     "orthoimages": "OrthoimageReport read_orthoimage read_orthoimage_and_report",
     "rectified": "RectifiedFile rectify_file",
     "regions": "write_probability_map write_region",
+    "scene_from_records": "write_scene",
     "scene_writer": "write_updated_scene",
     "tie_points": "TieRow write_tie_points",
 }

@@ -21,6 +21,11 @@ HalfTurn = Annotated[float, Field(strict=True, ge=-180.0, le=180.0), Unit("deg")
 Millimetres = Annotated[float, Field(strict=True, gt=0.0), Unit("mm")]
 Micrometres = Annotated[float, Field(strict=True, gt=0.0), Unit("um")]
 Pixels = Annotated[float, Field(strict=True, gt=0.0), Unit("pixels")]
+_Pixels = Annotated[float, Field(strict=True, gt=0.0)]
+PixelsOfAxes = Annotated[
+    _Pixels | Annotated[list[_Pixels], Field(min_length=2, max_length=2)],
+    Unit("pixels, or a list: along columns, along rows"),
+]
 Count = Annotated[int, Field(strict=True, gt=0, le=10_000_000), Unit("whole pixels")]
 Seconds = Annotated[float, _strict, Unit("s")]
 Height = Annotated[float, Field(strict=True, ge=-2000.0, le=2_000_000.0), Unit("m")]
@@ -54,11 +59,17 @@ SigmasReadings = Annotated[_Sigma | _Some, Unit(f"{_SIGMA} in deg, or a list: on
 SigmasLever = Annotated[_Sigma | _Three, Unit(f"{_SIGMA} in m, or a list: forward, right, down")]
 SigmasPixel = Annotated[_Sigma | _Two, Unit(f"{_SIGMA} in pixels, or a list: column, row")]
 
+_Limits = Annotated[list[Annotated[float, Field(strict=True, ge=-720.0, le=720.0)]], Field(min_length=2, max_length=2)]
+Limits = Annotated[
+    list[_Limits], Field(min_length=1), Unit("a list of [least, largest] in deg, one for each reading of the gimbal")
+]
+
 # Reading names of each kind of gimbal, from base to head; keys and columns are these with _deg.
 READINGS = {
     "two_axis": ("outer", "inner"),
     "mirror": ("depression", "azimuth"),
     "level": ("yaw", "pitch", "roll"),
+    "three_axis": ("yaw", "pitch", "roll"),
     "fixed": (),
 }
 
@@ -123,7 +134,7 @@ class CameraTable(_Table):
     focal_length_mm: Millimetres | None = None
     pixel_pitch_um: Micrometres | None = None
     principal_point_mm: PairMillimetres | None = None
-    focal_px: Pixels | None = None
+    focal_px: PixelsOfAxes | None = None
     principal_px: PairPixels | None = None
     distortion: DistortionTable | None = None
 
@@ -151,7 +162,7 @@ class CameraFile(BaseModel):
 class GimbalTable(_Table):
     """The kind of gimbal, and its readings; these may come from a table of shots instead."""
 
-    kind: Literal["two_axis", "mirror", "level", "fixed"]
+    kind: Literal["two_axis", "mirror", "level", "three_axis", "fixed"]
     outer_deg: Angle | None = None
     inner_deg: Angle | None = None
     depression_deg: Angle | None = None
@@ -159,6 +170,7 @@ class GimbalTable(_Table):
     yaw_deg: Angle | None = None
     pitch_deg: Angle | None = None
     roll_deg: Angle | None = None
+    limits_deg: Limits | None = None
 
     @property
     def readings(self) -> dict[str, float]:
@@ -169,6 +181,11 @@ class GimbalTable(_Table):
     @model_validator(mode="after")
     def _readings_of_its_kind(self) -> GimbalTable:
         wanted, given = READINGS[self.kind], self.readings
+        if self.limits_deg is not None and len(self.limits_deg) != len(wanted):
+            raise ValueError(
+                f"limits_deg has one pair for each reading of a gimbal of kind {self.kind!r}, {len(wanted)}; got "
+                f"{len(self.limits_deg)}"
+            )
         if given and set(given) != set(wanted):
             keys = ", ".join(f"{name}_deg" for name in wanted) or "none"
             got = ", ".join(f"{name}_deg" for name in given)

@@ -5,6 +5,7 @@ Keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import math
@@ -12,6 +13,7 @@ import os
 import pathlib
 import threading
 import tomllib
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -37,6 +39,13 @@ from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
 
+KINDS: dict[str, Callable[[], Gimbal]] = {
+    "two_axis": Gimbal.two_axis,
+    "mirror": Gimbal.mirror_two_axis,
+    "level": Gimbal.three_axis,
+    "three_axis": functools.partial(Gimbal.three_axis, reference="body"),
+    "fixed": Gimbal.fixed,
+}
 MOST_LINES = 20  # reported mistakes of a file
 _Numbers = np.ndarray | list[float]
 
@@ -190,17 +199,17 @@ def _camera(table: CameraTable) -> FrameCamera:
 
 
 def _gimbal(table: GimbalTable) -> Gimbal:
-    makers = {
-        "two_axis": Gimbal.two_axis,
-        "mirror": Gimbal.mirror_two_axis,
-        "level": Gimbal.three_axis,
-        "fixed": Gimbal.fixed,
-    }
-    return makers[table.kind]()
+    made = KINDS[table.kind]()
+    if table.limits_deg is None:
+        return made
+    limits = np.deg2rad(np.asarray(table.limits_deg, np.float64))
+    if not np.all(limits[:, 0] < limits[:, 1]):
+        raise ValueError(f"[gimbal] limits_deg = {table.limits_deg}: each is [least, largest], the least first.")
+    return dataclasses.replace(made, limits=limits)
 
 
 def _mount(table: MountTable, kind: str) -> Mount:
-    looks = table.camera_looks or ("forward" if kind == "level" else "down")
+    looks = table.camera_looks or ("forward" if kind in ("level", "three_axis") else "down")
     make = Mount.forward if looks == "forward" else Mount.nadir
     R_body_from_base = boresight_from_degrees(
         heading=table.base_heading_deg, pitch=table.base_pitch_deg, roll=table.base_roll_deg

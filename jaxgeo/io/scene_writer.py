@@ -168,10 +168,17 @@ def _camera_changes(
     pitch_px = 1.0 if camera.pixel_pitch_um is None else camera.pixel_pitch_um * 1e-3  # mm, or pixels, in a pixel
     if not _same(before.focal_px, after.focal_px):
         across, down = np.asarray(after.focal_px, np.float64)
-        key = "focal_px" if camera.focal_px is not None else "focal_length_mm"
-        if not abs(across - down) <= SAME * across:
-            raise _no_key(source, "focal_px that differs along columns and rows", f"[camera] {key} is one number")
-        yield ("camera", key), round(across * pitch_px, DECIMALS_OF_LENGTHS)
+        if abs(across - down) <= SAME * across:
+            key = "focal_px" if camera.focal_px is not None else "focal_length_mm"
+            yield ("camera", key), round(across * pitch_px, DECIMALS_OF_LENGTHS)
+        elif camera.focal_px is not None:
+            yield ("camera", "focal_px"), _lengths((across, down))
+        else:
+            raise _no_key(
+                source,
+                "a focal length that differs along columns and rows",
+                "[camera] focal_length_mm is one number; say focal_px = [along columns, along rows]",
+            )
     if not _same(before.principal_px, after.principal_px):
         place = np.asarray(after.principal_px, np.float64)
         if camera.focal_px is not None:

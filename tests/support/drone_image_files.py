@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
+import numpy as np
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -69,9 +70,13 @@ def write_image(
     gps: Mapping[int, Any] = PLACE,
     first: Mapping[int, Any] | None = None,
     size: tuple[int, int] = SIZE,
+    grey: np.ndarray | None = None,
 ) -> pathlib.Path:
-    """A JPEG or TIFF file, by the ending of its path; `first` are tags of the first directory of EXIF."""
-    image = Image.new("RGB", size, (90, 120, 60))
+    """A JPEG or TIFF file, by the ending of its path; `first` are tags of the first directory of EXIF.
+
+    The picture is of one colour, or of `grey` values (rows, columns).
+    """
+    image = Image.new("RGB", size, (90, 120, 60)) if grey is None else Image.fromarray(grey)
     tags = Image.Exif()
     tags[MAKE], tags[MODEL] = make, model
     for key, value in (first or {}).items():

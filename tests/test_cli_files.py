@@ -1,0 +1,209 @@
+"""Files of exposures in the commands about whole images: the same answers as for a scene of the same exposure."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import rasterio
+from support.command_files import DJI, LAT, LON, SMALL_POSE, prepare
+from support.drone_image_files import FULL, packet, write_image
+from typer.testing import CliRunner
+
+import jaxgeo
+from jaxgeo import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.cli import app
+from jaxgeo.io import example_dem
+from jaxgeo.io.scene import read_scene
+from jaxgeo.rotations import heading_pitch_roll_from_R
+
+ELLIPSOID = ["--height-datum", "ellipsoid"]
+GROUND = ["--dem", "dem.tif"]
+
+
+def run(*arguments: str | pathlib.Path):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def done(*arguments: str | pathlib.Path) -> dict:
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def assert_refused(result, *words: str) -> None:
+    assert result.exit_code == 2
+    for word in words:
+        assert word in result.stderr.replace("\n", " ")
+    assert "Traceback" not in result.output
+
+
+def image(path: pathlib.Path, lat: float, **more: str) -> None:
+    tags = DJI | {"drone-dji:GpsLatitude": f"{lat:+.7f}"} | {f"drone-dji:{key}": text for key, text in more.items()}
+    write_image(path, packet(tags), make="DJI", size=FULL)
+
+
+@pytest.fixture
+def here(tmp_path: pathlib.Path, monkeypatch) -> pathlib.Path:
+    """A drone image, a scene of it, three images of a strip of which one is cut, telemetry, and a DEM."""
+    monkeypatch.chdir(tmp_path)
+    prepare(tmp_path, "DJI_0042.JPG dem.tif flight.klv")
+    (tmp_path / "strip").mkdir()
+    image(tmp_path / "strip" / "a.jpg", LAT)
+    image(tmp_path / "strip" / "b.jpg", LAT - 0.0001)
+    image(tmp_path / "strip" / "c.jpg", LAT - 0.0002, CalibratedFocalLength="3500")
+    broken = tmp_path / "strip" / "d.jpg"
+    broken.write_bytes((tmp_path / "strip" / "a.jpg").read_bytes()[:900])
+    return tmp_path
+
+
+def scene_of(name: str, *more: str) -> pathlib.Path:
+    result = run("scene", name, *ELLIPSOID, *more, "-o", "scene.toml")
+    assert result.exit_code == 0, result.output
+    return pathlib.Path("scene.toml")
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("name, more", [("DJI_0042.JPG", ()), ("flight.klv", ("--exposure", "1"))])
+def test_a_scene_of_a_file_is_located_as_the_file(here: pathlib.Path, name: str, more: tuple[str, ...]) -> None:
+    scene = scene_of(name, *more)
+    flat = ("--ground", "300", "--pixel", "100,200", "--accuracy")
+    by_file = done("locate", name, *ELLIPSOID, *more, *flat)["fixes"][0]
+    by_scene = done("locate", scene, *flat)["fixes"][0]
+    for key in ("fix_lat_deg", "fix_lon_deg", "fix_height_m", "slant_range_m"):
+        assert by_scene[key] == pytest.approx(by_file[key], abs=1e-9, rel=1e-9), key
+    for key in ("ce90_m", "le90_m"):
+        assert by_scene[key] == pytest.approx(by_file[key], rel=1e-4), key
+
+
+def test_a_scene_says_what_it_assumes(here: pathlib.Path) -> None:
+    told = done("scene", "DJI_0042.JPG", *ELLIPSOID, "-o", "scene.toml")
+    assert told["exposure"] == "DJI_0042.JPG"
+    lines = pathlib.Path("scene.toml").read_text().splitlines()
+    assert lines[0] == "# DJI_0042.JPG of DJI_0042.JPG"
+    assert told["assumed"]
+    for one in told["assumed"]:
+        assert f"# assumed: {one}" in lines
+    assert read_scene("scene.toml").sensor.gimbal.reference == "level"
+
+
+@pytest.mark.costly
+def test_a_footprint_of_an_image_is_that_of_its_scene(here: pathlib.Path) -> None:
+    scene = scene_of("DJI_0042.JPG")
+    (of_file,) = done("footprint", "DJI_0042.JPG", *ELLIPSOID, *GROUND)["footprints"]
+    (of_scene,) = done("footprint", scene, *GROUND)["footprints"]
+    assert of_file.pop("name") == "DJI_0042.JPG"
+    assert of_file["area_km2"] == pytest.approx(of_scene["area_km2"], rel=1e-6)
+    for one, other in zip(of_file["outline"], of_scene["outline"], strict=True):
+        assert one["lat_deg"] == pytest.approx(other["lat_deg"], abs=1e-9)
+
+
+@pytest.mark.costly
+def test_a_folder_has_a_footprint_for_each_image_and_tells_what_it_cannot_read(here: pathlib.Path) -> None:
+    told = done("footprint", "strip", *ELLIPSOID, *GROUND, "-o", "out.geojson")
+    assert [one["name"] for one in told["footprints"]] == ["a.jpg", "b.jpg", "c.jpg"]
+    assert list(told["unread"]) == ["strip/d.jpg"]
+    features = json.loads(pathlib.Path("out.geojson").read_text())["features"]
+    assert [one["properties"]["name"] for one in features] == ["a.jpg", "b.jpg", "c.jpg"]
+    shown = run("footprint", "strip", *ELLIPSOID, *GROUND)
+    assert "not read: strip/d.jpg" in shown.stderr
+    assert "b.jpg" in shown.stdout
+
+
+@pytest.mark.costly
+def test_overlaps_of_a_folder_are_of_consecutive_images_also_of_two_cameras(here: pathlib.Path) -> None:
+    pairs = done("overlap", "strip", *ELLIPSOID, *GROUND)["pairs"]
+    assert [(one["before"], one["after"]) for one in pairs] == [("a.jpg", "b.jpg"), ("b.jpg", "c.jpg")]
+    # 0.0001 degrees of latitude are 11.1 m; the second pair has a wider camera, whose far edge reaches further
+    assert pairs[0]["status"] == pairs[1]["status"] == "hit"
+    assert pairs[0]["step_m"] == pytest.approx(11.1, rel=0.2)
+    pathlib.Path("strip/c.jpg").unlink()
+    image(pathlib.Path("strip/c.jpg"), LAT - 0.0002)
+    same = done("overlap", "strip", *ELLIPSOID, *GROUND)["pairs"]
+    assert same[0]["least"] == pytest.approx(pairs[0]["least"], abs=1e-9)
+    assert pairs[1]["far"] > same[1]["far"]
+
+
+def test_pointing_from_an_image_is_that_from_its_scene(here: pathlib.Path) -> None:
+    target = ("--target", f"{LAT - 0.002},{LON},300")
+    of_file = done("point", "DJI_0042.JPG", *target, *ELLIPSOID)["readings_deg"]
+    of_scene = done("point", scene_of("DJI_0042.JPG"), *target, *ELLIPSOID)["readings_deg"]
+    np.testing.assert_allclose(list(of_file.values()), list(of_scene.values()), atol=1e-9)
+    assert list(of_file) == ["yaw", "pitch", "roll"]
+
+
+MISTAKES = [
+    (["footprint", *GROUND], ["give a FILE", "--scene SCENE.toml"]),
+    (["footprint", "DJI_0042.JPG", "--shots", "x.csv", *GROUND], ["--shots x.csv: use it with --scene, not with DJI"]),
+    (["footprint", "scene.toml", "--exposure", "a", *GROUND], ["--exposure a needs a FILE of exposures"]),
+    (["footprint", "scene.toml", "--scene", "scene.toml", *GROUND], ["is itself a scene file; leave out --scene"]),
+    (["footprint", "scene.toml", "--takeoff-height", "8", *GROUND], ["--takeoff-height is for a FILE of exposures"]),
+    (["footprint", "scene.toml", *ELLIPSOID, *GROUND], ["--height-datum ellipsoid applies to the heights of a FILE"]),
+    (["overlap", *GROUND], ["give FILEs of exposures, or --scene with --navigation"]),
+    (["overlap", "DJI_0042.JPG", *ELLIPSOID, *GROUND], ["DJI_0042.JPG: overlap needs at least two exposures"]),
+    (["overlap", "strip", "--navigation", "n.csv", "--times", "1,2", *GROUND], ["give FILEs of exposures, or --scene"]),
+    (["point", "strip", *ELLIPSOID, "--target", "1,2,3"], ["strip has 3 exposures; name one with --exposure a.jpg"]),
+    (["point", "DJI_0042.JPG", "--target", "1,2,3"], ["--target 1,2,3: say what its height is above, with --height-"]),
+    (["scene", "flight.klv", *ELLIPSOID, "-o", "o.toml"], ["has 2 exposures: 0, 1. Name one with --exposure 0"]),
+    (["scene", "DJI_0042.JPG", *ELLIPSOID, "-o", "o.txt"], ["--output o.txt", "use .toml"]),
+    (["scene", "DJI_0042.JPG", "-o", "o.toml"], ["--height-datum"]),
+    (
+        ["register", "DJI_0042.JPG", "--reference", "dem.tif", *GROUND, "--scene", "scene.toml", *ELLIPSOID, "-o", "o"],
+        ["--height-datum is for an IMAGE that states its own pose; leave it out with --scene"],
+    ),
+    (
+        ["register", "DJI_0042.JPG", "--reference", "dem.tif", *GROUND, "--scene", "bare.toml", "-o", "o"],
+        ["--position-sigma is missing, and bare.toml states none"],
+    ),
+]
+
+
+@pytest.mark.parametrize("arguments, words", MISTAKES)
+def test_mistakes(here: pathlib.Path, arguments: list[str], words: list[str]) -> None:
+    scene_of("DJI_0042.JPG")
+    text = pathlib.Path("scene.toml").read_text()
+    pathlib.Path("bare.toml").write_text(text.split("[errors]")[0])
+    before = {path.name for path in here.iterdir()}
+    assert_refused(run(*arguments), *words)
+    assert {path.name for path in here.iterdir()} == before
+
+
+@pytest.mark.costly
+def test_an_image_is_registered_from_its_own_tags(here: pathlib.Path) -> None:
+    """A drone image rendered from a map with one pose, whose tags state another: registered without a scene."""
+    prepare(here, "register image.tif --reference ortho.tif")
+    truth = Pose.from_degrees(**SMALL_POSE)
+    down = truth.R_ned_from_body @ jnp.asarray(Mount.nadir().R_head_from_camera)
+    angles = heading_pitch_roll_from_R(down @ jnp.asarray(Mount.forward().R_head_from_camera).T)
+    yaw, pitch, roll = (float(np.rad2deg(angle)) for angle in angles)
+    tags = {
+        "AbsoluteAltitude": f"{SMALL_POSE['height'] + 8.0:+.3f}",
+        "GpsLatitude": f"{SMALL_POSE['lat'] + 15.0 / 111_000.0:+.8f}",
+        "GpsLongitude": f"{SMALL_POSE['lon']:+.8f}",
+        "GimbalYawDegree": f"{yaw + 0.2:+.6f}",
+        "GimbalPitchDegree": f"{pitch - 0.1:+.6f}",
+        "GimbalRollDegree": f"{roll:+.6f}",
+        "CalibratedFocalLength": "4687.5",  # of the full image, which is 4000 pixels wide
+    }
+    with rasterio.open("image.tif") as data:
+        grey = data.read(1)
+    xmp = packet(DJI | {f"drone-dji:{name}": text for name, text in tags.items()})
+    write_image(here / "drone.jpg", xmp, make="DJI", grey=grey)
+    told = done("register", "drone.jpg", "--reference", "ortho.tif", *GROUND, *ELLIPSOID, "--gimbal-sigma", "0.3",
+                "--position-sigma", "20", "--reference-sigma", "1", "-o", "out")  # fmt: skip
+    before, after = (told["pixels"][0][name] for name in ("before", "after"))
+    camera = FrameCamera.from_pixels(focal_px=300.0, width=256, height=192)
+    fix = jaxgeo.locate(Sensor(camera, Gimbal.fixed(), Mount.nadir()), Shot(truth), (127.5, 95.5), example_dem())
+    lat, lon, _ = (float(one) for one in fix.position.to_degrees())
+
+    def miss(found: dict) -> float:
+        east = (found["lon_deg"] - lon) * 111_320.0 * np.cos(np.deg2rad(lat))
+        return float(np.hypot((found["lat_deg"] - lat) * 110_940.0, east))
+
+    assert miss(before) > 10.0
+    assert miss(after) < 3.0
+    assert after["ce90_m"] < before["ce90_m"]
+    assert read_scene("out/scene.toml").sensor.gimbal.names == ("yaw", "pitch", "roll")
