@@ -40,7 +40,16 @@ def brought(requirements: list[str]) -> set[str]:
     return {module for name in names for module in BRINGS.get(name, (name,))}
 
 
-OF_PACKAGE = ("cluster", "plot", "report", "gis", "orthority", "video", "xarray")  # extras that the package imports
+OF_PACKAGE = (
+    "cluster",
+    "plot",
+    "report",
+    "gis",
+    "orthority",
+    "stac",
+    "video",
+    "xarray",
+)  # extras that the package imports
 
 
 def imported(tree: ast.AST) -> set[str]:

@@ -51,16 +51,15 @@ def fetch(name: str, options: DemOptions, look: Look | None) -> FetchedDem:
     if edges is None and look is None:
         raise UserError(f"--dem {name}: say for which ground, with --dem-bounds WEST,SOUTH,EAST,NORTH in deg.")
     view = look() if edges is None and look is not None else None
-    more = {} if view is None else {"rays": view.rays, "spread": view.spread, "beside": view.beside}
     with working("fetching the elevation model"), translate_dem_errors():
         found = fetch_dem(
             name,
             bounds=edges,
+            rays=view,
             vertical_datum=datum(options.vertical_datum),
             mirror=options.mirror,
             proxy=options.proxy,
             offline=options.offline,
-            **more,
         )
     for message in found.messages():
         print_message(f"elevation model: {message}")

@@ -387,7 +387,7 @@ def test_the_cache_is_bounded(server: Served, cache: DemCache) -> None:
     assert not first.exists()
     assert bounded.size() <= bounded.largest
     with pytest.raises(ArchiveError, match=r"more than the .* MB that the cache may hold; set JAXGEO_DEM_CACHE_SIZE"):
-        fetched(server, DemCache(cache.folder, largest=size // 2), **other)
+        fetched(server, DemCache(cache.folder, largest=size // 2), vertical_datum="ellipsoid")
 
 
 def test_a_full_disk_is_told(server: Served, cache: DemCache) -> None:

@@ -33,6 +33,7 @@ from jaxgeo.io.archives.parts import (
 from jaxgeo.io.archives.sight import BESIDE, REACH, Extent, follow
 from jaxgeo.io.archives.stac import tiles_of
 from jaxgeo.io.archives.store import DemCache
+from jaxgeo.io.archives.views import View
 from jaxgeo.io.archives.web import Web
 from jaxgeo.io.dem import read_dem
 from jaxgeo.io.files import DemFiles, open_dem
@@ -135,7 +136,7 @@ def fetch_dem(
     archive: str | Archive = "copernicus",
     *,
     bounds: Bounds | None = None,
-    rays: Ray | Iterable[Ray] | None = None,
+    rays: Ray | Iterable[Ray] | View | None = None,
     spread: float = 0.0,
     beside: float = BESIDE,
     vertical_datum: VerticalDatum = None,
@@ -150,7 +151,7 @@ def fetch_dem(
     address with fields such as "https://host/{S}{W}.tif", or "stac:" and the address of a STAC collection. Give
 
     - `bounds`: (west, south, east, north) in deg; or
-    - `rays`: ECEF rays of any shape, or several batches. Each is followed until it has certainly hit the ground; with
+    - `rays`: ECEF rays of any shape, several batches, or a `View` (`view_of`, `view_of_image`, `view_from`). Each is followed until it has certainly hit the ground; with
       `spread`, an angle in rad, and `beside`, a distance in m, by which their lines of sight may be wrong. Rays that
       stay above the ground are cut at 100 km, rising ones at 20 km: `FetchedDem.cut` counts them.
 
@@ -166,6 +167,8 @@ def fetch_dem(
     """
     found = archive_of(archive)
     area = None if bounds is None else _checked(found, bounds)
+    if isinstance(rays, View):
+        rays, spread, beside = rays.rays, max(spread, rays.spread), max(beside, rays.beside)
     each = [] if rays is None else [rays] if isinstance(rays, Ray) else list(rays)
     for one in each:
         check_is(one, Ray, "rays")
