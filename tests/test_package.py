@@ -14,7 +14,12 @@ from typing import Any
 import pytest
 
 # Modules by the name of what brings them, where that is another.
-BRINGS = {"pillow": ("PIL",), "pyyaml": ("yaml",), "jinja2": ("jinja2", "markupsafe")}
+BRINGS = {
+    "pillow": ("PIL",),
+    "pyyaml": ("yaml",),
+    "jinja2": ("jinja2", "markupsafe"),
+    "pystac-client": ("pystac_client",),
+}
 FOR_TESTS = {"pytest-xdist"}  # a plugin; nothing imports it
 REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)(\[(?P<extras>[\w,]+)\])?(?P<bound>>=[\w.]+)?(?P<rest>.*)")
 
@@ -49,7 +54,7 @@ OF_PACKAGE = (
     "stac",
     "video",
     "xarray",
-)  # extras that the package imports
+)  # which the package imports
 
 
 def imported(tree: ast.AST) -> set[str]:

@@ -151,16 +151,17 @@ def fetch_dem(
     address with fields such as "https://host/{S}{W}.tif", or "stac:" and the address of a STAC collection. Give
 
     - `bounds`: (west, south, east, north) in deg; or
-    - `rays`: ECEF rays of any shape, several batches, or a `View` (`view_of`, `view_of_image`, `view_from`). Each is followed until it has certainly hit the ground; with
-      `spread`, an angle in rad, and `beside`, a distance in m, by which their lines of sight may be wrong. Rays that
-      stay above the ground are cut at 100 km, rising ones at 20 km: `FetchedDem.cut` counts them.
+    - `rays`: ECEF rays of any shape, several batches of them, or a `View` (of `view_of`, `view_of_image`, `view_from`).
+      Each is followed until it has certainly hit the ground; with `spread`, an angle in rad, and `beside`, a distance
+      in m, by which the lines of sight may be wrong. Rays that stay above the ground are cut at 100 km, rising ones at
+      20 km: `FetchedDem.cut` counts them.
 
     Whole blocks of the tiles are read by range requests and kept in `cache`; what is there is not asked for again, also
     with `offline=True` (default: whether the environment variable JAXGEO_OFFLINE is 1). `mirror` is an address or a
-    folder with the layout of the archive, or "NAME=ADDRESS NAME=ADDRESS", where the name
-    "proj" is for PROJ's geoid grids (default: JAXGEO_DEM_MIRROR), `proxy` an
-    address (default: HTTPS_PROXY). `vertical_datum` replaces that of the archive, and is required for others if their
-    files do not state it. A geoid grid that PROJ lacks is fetched as a window from where PROJ publishes it.
+    folder with the layout of the archive, or "NAME=ADDRESS NAME=ADDRESS", where the name "proj" is for PROJ's geoid
+    grids (default: JAXGEO_DEM_MIRROR); `proxy` is an address (default: HTTPS_PROXY). `vertical_datum` replaces that of
+    the archive, and is required for others if their files do not state it. A geoid grid that PROJ lacks is fetched as a
+    window from where PROJ publishes it.
 
     Raises `ArchiveError`, a `DemError`, if something is missing, with what to do; `ImportError` for STAC without the
     extra.
