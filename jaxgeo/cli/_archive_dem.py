@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.archives import FetchedDem, View
 
 Look = Callable[[], "View"]
-_fetched: list[dict[str, Any]] = []
+_fetched: list[FetchedDem] = []
 
 
 def forget() -> None:
@@ -24,7 +24,12 @@ def forget() -> None:
 
 def told() -> dict[str, Any]:
     """What was fetched in this run, as part of the JSON object of the command."""
-    return {"elevation_model": _fetched[-1]} if _fetched else {}
+    return {"elevation_model": _fetched[-1].to_dict()} if _fetched else {}
+
+
+def messages() -> list[str]:
+    """Source, licence and attribution of what was fetched in this run."""
+    return [f"Elevation model: {message}" for message in _fetched[-1].messages()] if _fetched else []
 
 
 def is_archive(dem: list[str]) -> bool:
@@ -63,5 +68,5 @@ def fetch(name: str, options: DemOptions, look: Look | None) -> FetchedDem:
         )
     for message in found.messages():
         print_message(f"elevation model: {message}")
-    _fetched.append(found.to_dict())
+    _fetched.append(found)
     return found

@@ -74,7 +74,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         served, span = self.served, self.headers.get("Range", "")
         served.asked.append((self.command, self.path, span))
         file = served.root / self.path.split("?")[0].lstrip("/")
-        fault = served.fault(self.path)
+        fault = served.fault(f"{self.command} {self.path}")
         if fault == "slow":
             time.sleep(2.5)
         if fault is not None and fault.isdigit():

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import dataclasses
 import math
-import os
 import pathlib
 import re
 from collections.abc import Callable, Iterable
@@ -17,7 +17,7 @@ from jaxgeo._checks import check_is
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io.archives.catalogue import ARCHIVES, PROJ, STAC, Archive, Cell, archive_of, joined, mirrors_of, names_of
 from jaxgeo.io.archives.errors import ArchiveError, Unreachable
-from jaxgeo.io.archives.geoid_window import datum_for
+from jaxgeo.io.archives.geoid_window import OFFLINE, datum_for, grid_folder, is_offline
 from jaxgeo.io.archives.parts import (
     ENDING,
     Part,
@@ -43,7 +43,6 @@ from jaxgeo.io.vertical import VerticalDatum
 from jaxgeo.io.windows import Bounds
 from jaxgeo.terrain.dem import Dem
 
-OFFLINE = "JAXGEO_OFFLINE"  # environment variable: 1 for no access to a network
 AT_ONCE = 4  # tiles read at the same time
 LATTICE = 0.02  # deg between the positions at which an area is looked at
 MOST_DEGREES = 16.0  # deg**2 of an area
@@ -175,10 +174,9 @@ def fetch_dem(
         check_is(one, Ray, "rays")
     if area is None and not each:
         raise ArchiveError(f"{found.name}: say for which ground: bounds=(west, south, east, north) or rays=.")
-    is_offline = os.environ.get(OFFLINE, "") not in ("", "0") if offline is None else offline
     mirrors = mirrors_of(mirror, found.name)
     kept = DemCache() if cache is None else cache
-    ground = _Ground(found, kept, Web.usual(proxy), is_offline, mirrors)
+    ground = _Ground(found, kept, Web.usual(proxy), is_offline() if offline is None else offline, mirrors)
     extent, cut = Extent(), 0
     if area is not None:
         lon, lat = _positions(area)
@@ -197,10 +195,11 @@ def fetch_dem(
             f"{found.where or 'other places'}. Take another archive, such as copernicus."
         )
     datum = vertical_datum
-    if datum is None and found.datum is not None:
+    if found.datum is not None and f"{datum}".removeprefix("EPSG:") in ("None", found.datum.removeprefix("EPSG:")):
         datum = ground.told(
             lambda web: datum_for(str(found.datum), found.geoid, edges, kept, web, mirrors.get(PROJ)),
-            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, or give another vertical_datum=...",
+            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, put the file into {grid_folder()}, or give "
+            f"another vertical_datum=...",
         )
     parts = [ground.parts[key] for key in sorted(ground.parts)]
     return FetchedDem(
@@ -237,9 +236,12 @@ class _Ground:
         if (east - west) % 360.0 > 3.0 or north - south > 3.0:
             return
         lon, lat = _positions(edges)
+        if any(cell not in self._headers for cell, _ in _by_cell(lon, lat)):
+            return
         wanted = self._needed(lon, lat)
         if sum(len(places) for places in wanted.values()) <= FILL:
-            self._fetch(wanted)
+            with contextlib.suppress(ArchiveError):  # no line of sight needs them
+                self._fetch(wanted)
 
     def lowest(self, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
         """As `Ground.lowest`."""
@@ -261,9 +263,8 @@ class _Ground:
         except Unreachable as error:
             raise Unreachable(f"{error}. {self._ways()} {advice}") from error
         except ArchiveError as error:
-            if not self.offline:
-                raise
-            raise ArchiveError(f"{self.archive.name}: offline, and {error}. {advice}") from error
+            why = "offline, and " if self.offline else ""
+            raise ArchiveError(f"{self.archive.name}: {why}{error}. {advice}") from error
 
     def _ellipsoidal(self, lon: np.ndarray, lat: np.ndarray, low: np.ndarray) -> np.ndarray:
         if self.archive.datum is None:
@@ -416,6 +417,8 @@ class _Ground:
                     f"{where}: there is no such file, and without it nobody can tell the sea from a missing tile "
                     f"({name}). Copy the file from {joined(self.archive.base, self.archive.listing)}, or the tile."
                 )
+            if self.archive.pattern.partition("{")[0].encode() not in content:
+                raise ArchiveError(f"{where}: this is not the archive's list of tiles; name another mirror=.")
             if name.rpartition(".")[0].encode() in content:
                 raise ArchiveError(
                     f"{self._at(cell)}: the archive lists this tile, so it is not sea, but the server has none. Try "
