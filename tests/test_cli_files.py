@@ -171,7 +171,7 @@ def test_mistakes(here: pathlib.Path, arguments: list[str], words: list[str]) ->
     assert {path.name for path in here.iterdir()} == before
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_an_image_is_registered_from_its_own_tags(here: pathlib.Path) -> None:
     """A drone image rendered from a map with one pose, whose tags state another: registered without a scene."""
     prepare(here, "register image.tif --reference ortho.tif")

@@ -95,6 +95,7 @@ LINES = [
     "inspect reconstruction.json --camera one --height-datum -31 --json",
     "point --scene scene.toml --line-of-sight 250,18.5 --pixel 1200,2400 --json",
     "scene DJI_0042.JPG --height-datum ellipsoid -o out.toml --json --debug",
+    "dem --json --debug",
 ]
 LONG_LINES = [
     f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --shard 1/1 --debug",
@@ -129,7 +130,7 @@ LONG_LINES = [
 ]
 READING = (
     "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84 --allow-remote "
-    "--allow-outside"
+    "--allow-outside --mirror https://host --proxy http://host:1 --offline"
 )
 FILE = (
     "--takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged --stream 1 "
@@ -175,6 +176,12 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "-o out",
     f"study gu2017 --image a --reference b --dem c --scene d {READING}",
     f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --refraction --details 0 -o out.html",
+    "dem 36.3,-84.2 --radius 100 --archive srtm --mirror https://host --proxy http://host:1 --offline -o out.tif",
+    "dem --bounds -85,36,-84,37 --archive https://host/{S}{W}.tif --vertical-datum EPSG:5773",
+    "dem --for FILE --scene s --height-datum EPSG:5773 --takeoff-height 8 --source-crs EPSG:32616 --camera a "
+    "--image-size 64,48 --upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 "
+    "--positions p",
+    "dem --geoid EPSG:3855 --clear-cache",
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import importlib
 import importlib.util
 import os
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from support.command_files import FILES, prepare
+from support.tile_server import mirrored
 
 import jaxgeo
 from jaxgeo.register import Outcome
@@ -78,12 +80,24 @@ def test_names_that_a_page_uses_are_there(page: pathlib.Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUN, ids=name_of)
-def test_python_of_a_page_runs(page: pathlib.Path, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_of_a_page_runs(
+    page: pathlib.Path,
+    tmp_path: pathlib.Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """All of it in order, in one namespace, in a folder with the files that it names."""
     blocks = blocks_of(page)
     named = {name for name in {*FILES, *MOVING} if any(f'"{name}"' in block.code for block in blocks)}
     prepare(tmp_path, " ".join([*sorted(named - MOVING), *(["register"] if named & MOVING else [])]))
     monkeypatch.chdir(tmp_path)
+    with contextlib.ExitStack() as until_run:
+        if any("fetch_dem" in block.code for block in blocks):
+            until_run.enter_context(mirrored(tmp_path_factory.mktemp("archive"), monkeypatch.setenv))
+        _run(page, blocks, monkeypatch)
+
+
+def _run(page: pathlib.Path, blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)
     for block in blocks:

@@ -14,7 +14,12 @@ from typing import Any
 import pytest
 
 # Modules by the name of what brings them, where that is another.
-BRINGS = {"pillow": ("PIL",), "pyyaml": ("yaml",), "jinja2": ("jinja2", "markupsafe")}
+BRINGS = {
+    "pillow": ("PIL",),
+    "pyyaml": ("yaml",),
+    "jinja2": ("jinja2", "markupsafe"),
+    "pystac-client": ("pystac_client",),
+}
 FOR_TESTS = {"pytest-xdist"}  # a plugin; nothing imports it
 REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)(\[(?P<extras>[\w,]+)\])?(?P<bound>>=[\w.]+)?(?P<rest>.*)")
 
@@ -40,7 +45,16 @@ def brought(requirements: list[str]) -> set[str]:
     return {module for name in names for module in BRINGS.get(name, (name,))}
 
 
-OF_PACKAGE = ("cluster", "plot", "report", "gis", "orthority", "video", "xarray")  # extras that the package imports
+OF_PACKAGE = (
+    "cluster",
+    "plot",
+    "report",
+    "gis",
+    "orthority",
+    "stac",
+    "video",
+    "xarray",
+)  # which the package imports
 
 
 def imported(tree: ast.AST) -> set[str]:

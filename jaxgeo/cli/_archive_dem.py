@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.archives import FetchedDem, View
 
 Look = Callable[[], "View"]
-_fetched: list[dict[str, Any]] = []
+_fetched: list[FetchedDem] = []
 
 
 def forget() -> None:
@@ -24,7 +24,12 @@ def forget() -> None:
 
 def told() -> dict[str, Any]:
     """What was fetched in this run, as part of the JSON object of the command."""
-    return {"elevation_model": _fetched[-1]} if _fetched else {}
+    return {"elevation_model": _fetched[-1].to_dict()} if _fetched else {}
+
+
+def messages() -> list[str]:
+    """Source, licence and attribution of what was fetched in this run."""
+    return [f"Elevation model: {message}" for message in _fetched[-1].messages()] if _fetched else []
 
 
 def is_archive(dem: list[str]) -> bool:
@@ -51,18 +56,17 @@ def fetch(name: str, options: DemOptions, look: Look | None) -> FetchedDem:
     if edges is None and look is None:
         raise UserError(f"--dem {name}: say for which ground, with --dem-bounds WEST,SOUTH,EAST,NORTH in deg.")
     view = look() if edges is None and look is not None else None
-    more = {} if view is None else {"rays": view.rays, "spread": view.spread, "beside": view.beside}
     with working("fetching the elevation model"), translate_dem_errors():
         found = fetch_dem(
             name,
             bounds=edges,
+            rays=view,
             vertical_datum=datum(options.vertical_datum),
             mirror=options.mirror,
             proxy=options.proxy,
             offline=options.offline,
-            **more,
         )
     for message in found.messages():
         print_message(f"elevation model: {message}")
-    _fetched.append(found.to_dict())
+    _fetched.append(found)
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import pathlib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -192,13 +191,10 @@ def trajectory_of(
 
 def view_of_shots(sensor: Any, motions: Sequence[Any]) -> View:
     """The lines of sight of images of shots, or of (trajectory, time)."""
-    from jaxgeo.io.archives import view_of_image
-    from jaxgeo.io.archives.views import MOST_IMAGES
+    from jaxgeo.io.archives.views import view_of_images
 
-    some = motions[:: max(1, -(-len(motions) // MOST_IMAGES))]
-    each = [view_of_image(sensor, *(one if isinstance(one, tuple) else (one,))) for one in some]
-    first, *others = each
-    return dataclasses.replace(first, rays=tuple(ray for one in (first, *others) for ray in one.rays))
+    pairs = [one if isinstance(one, tuple) else (one, None) for one in motions]
+    return view_of_images([(sensor, motion, time) for motion, time in pairs])
 
 
 def single(batch: T) -> Iterator[T]:

@@ -11,6 +11,7 @@ import typer
 
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._archive_dem import messages
 from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -115,7 +116,7 @@ def _report(
     subject = ReportData.of_observations(observed, inputs.grounds, fixes, accuracy, probability)
     with working("computing details"):
         details = details_of(subject, most=page.details)
-    assumed = [*inputs.assumed, *(f"Not read: {reason}" for reason in reasons or () if reason is not None)]
+    assumed = [*inputs.assumed, *messages(), *(f"Not read: {reason}" for reason in reasons or () if reason is not None)]
     header = ReportHeader(page.title or _title(options), _inputs(options), assumed)
     with working("drawing"):
         stream.write(report_html(subject, header=header, details=details))

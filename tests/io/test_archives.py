@@ -127,6 +127,11 @@ def test_across_two_tiles_there_is_no_step(server: Served, cache: DemCache) -> N
         assert abs(float(terrain.height_at(place)) - undulation - heights_at(np.array(lon), np.array(36.505))) < 0.2
 
 
+def test_the_datum_of_the_archive_may_be_repeated(server: Served, cache: DemCache) -> None:
+    assert fetched(server, cache, vertical_datum="EPSG:3855").vertical_datum == fetched(server, cache).vertical_datum
+    assert fetched(server, cache, vertical_datum=3855).vertical_datum == fetched(server, cache).vertical_datum
+
+
 def test_a_datum_of_the_caller_needs_no_geoid_grid(server: Served, cache: DemCache) -> None:
     found = fetched(server, cache, vertical_datum="EPSG:5773", mirror=server.url)
     assert found.vertical_datum == "EPSG:5773"
@@ -206,9 +211,22 @@ def test_without_a_list_nobody_knows_the_sea(tmp_path: pathlib.Path, cache: DemC
         fetched(server, cache)
 
 
+def test_an_error_page_is_no_list(tmp_path: pathlib.Path, cache: DemCache) -> None:
+    (tmp_path / "tileList.txt").write_text("<html>Please log in</html>")
+    with serving(tmp_path) as server, pytest.raises(ArchiveError, match="this is not the archive's list of tiles"):
+        fetched(server, cache)
+
+
+def test_servers_that_answer_no_head(archive: pathlib.Path, cache: DemCache) -> None:
+    with serving(archive) as server:
+        server.fail("HEAD", "405")
+        same_heights(fetched(server, cache, mirror=mirrors(server)), by_hand(archive))
+    assert ("GET", f"/{NAME.removesuffix('.tif')}/{NAME}", "bytes=0-0") in server.asked
+
+
 def test_land_that_is_not_released_is_not_sea(tmp_path: pathlib.Path, cache: DemCache) -> None:
     """By GLO-90, which has it; and by what is known of GLO-30 where only that has a mirror."""
-    (tmp_path / "tileList.txt").write_text("")
+    (tmp_path / "tileList.txt").write_text("Copernicus_DSM_COG_10_N00_00_E006_00_DEM\n")
     write_tile(tmp_path, ARCHIVES["copernicus-90"], CELL, posts=300, block=256)
     with serving(tmp_path) as server:
         with pytest.raises(ArchiveError, match=r"that is land; it is not released\. Take another archive"):
@@ -284,6 +302,8 @@ def test_names_of_tiles(name: str, cell: tuple[int, int], path: str) -> None:
         ("https://host/{x}{y}.tif", r"the field \{x\} is unknown"),
         ("https://host/{S}.tif", "it needs a field of latitude and one of longitude"),
         ("stac:https://host/api", "this names no STAC collection"),
+        ("stac:file:///api/collections/a", "this names no STAC collection"),
+        ("file:///tiles/{S}{W}.tif", "only http:// and https:// addresses are read"),
     ],
 )
 def test_names_that_are_refused(name: str, reason: str, cache: DemCache) -> None:
@@ -387,7 +407,7 @@ def test_the_cache_is_bounded(server: Served, cache: DemCache) -> None:
     assert not first.exists()
     assert bounded.size() <= bounded.largest
     with pytest.raises(ArchiveError, match=r"more than the .* MB that the cache may hold; set JAXGEO_DEM_CACHE_SIZE"):
-        fetched(server, DemCache(cache.folder, largest=size // 2), **other)
+        fetched(server, DemCache(cache.folder, largest=size // 2), vertical_datum="ellipsoid")
 
 
 def test_a_full_disk_is_told(server: Served, cache: DemCache) -> None:

@@ -74,7 +74,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         served, span = self.served, self.headers.get("Range", "")
         served.asked.append((self.command, self.path, span))
         file = served.root / self.path.split("?")[0].lstrip("/")
-        fault = served.fault(self.path)
+        fault = served.fault(f"{self.command} {self.path}")
         if fault == "slow":
             time.sleep(2.5)
         if fault is not None and fault.isdigit():
@@ -198,3 +198,15 @@ def write_geoid(root: pathlib.Path, name: str = "us_nga_egm08_25.tif") -> pathli
     listed = {"name": name, "sha256sum": hashlib.sha256(path.read_bytes()).hexdigest()}
     (root / "files.geojson").write_text(json.dumps({"features": [{"properties": listed}]}))
     return path
+
+
+@contextlib.contextmanager
+def mirrored(folder: pathlib.Path, setenv: Callable[[str, str], object]) -> Iterator[Served]:
+    """A server with the tile of Copernicus DEM of the examples and the geoid grid, which the environment names as
+    mirrors; and an empty cache."""
+    write_archive(folder, "copernicus", [(36, -85)])
+    write_geoid(folder)
+    with serving(folder) as served:
+        setenv("JAXGEO_DEM_MIRROR", f"copernicus={served.url} proj={served.url}")
+        setenv("JAXGEO_DEM_CACHE", str(folder / "cache"))
+        yield served

@@ -16,6 +16,7 @@ Cell = tuple[int, int]
 FIELDS = ("S", "N", "W", "E", "s", "n", "w", "e")
 COPERNICUS_WIDTHS = ((50, 1.0), (60, 1.5), (70, 2.0), (80, 3.0), (85, 5.0), (90, 10.0))  # up to latitude: spacing
 STAC = "stac:"
+SCHEMES = ("http://", "https://")
 PROJ = "proj"  # name of PROJ's geoid grids among mirrors
 MIRROR = "JAXGEO_DEM_MIRROR"  # environment variable: an address or a folder, or NAME=ADDRESS for several archives
 
@@ -188,7 +189,7 @@ def archive_of(name: str | Archive) -> Archive:
         return ARCHIVES[name]
     if name.startswith(STAC):
         url = name.removeprefix(STAC)
-        if "/collections/" not in url:
+        if "/collections/" not in url or not url.startswith(SCHEMES):
             raise ArchiveError(
                 f"{name}: this names no STAC collection; give its address, stac:https://HOST/.../collections/NAME."
             )
@@ -206,6 +207,8 @@ def archive_of(name: str | Archive) -> Archive:
             f"{name}: {what}; {{S}} or {{N}} is the southern or northern edge of a cell of a degree (N36), {{W}} or "
             f"{{E}} its western or eastern (W085), in lower case n36, w085."
         )
+    if "://" in name and not name.startswith(SCHEMES):
+        raise ArchiveError(f"{name}: only http:// and https:// addresses are read, and files.")
     root, _, pattern = name.partition("{")
     base, _, start = root.rpartition("/")
     return Archive(name=name, title=f"tiles at {base}", base=base, pattern=f"{start}{{{pattern}")
@@ -223,7 +226,7 @@ def mirrors_of(text: str | None, archive: str = "") -> dict[str, str]:
         raise ArchiveError(f"mirror={text!r}: no archive {wrong}; known are {', '.join((*ARCHIVES, PROJ))}.")
     each = dict(pairs) or {archive: text}
     for base in each.values():
-        if "://" not in base and not os.path.isdir(base):
+        if not base.startswith(SCHEMES) and not os.path.isdir(base):
             raise ArchiveError(f"mirror={base!r}: neither an address (https://...) nor a folder.")
     return each
 

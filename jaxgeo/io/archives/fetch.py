@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import dataclasses
 import math
-import os
 import pathlib
 import re
 from collections.abc import Callable, Iterable
@@ -17,7 +17,7 @@ from jaxgeo._checks import check_is
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io.archives.catalogue import ARCHIVES, PROJ, STAC, Archive, Cell, archive_of, joined, mirrors_of, names_of
 from jaxgeo.io.archives.errors import ArchiveError, Unreachable
-from jaxgeo.io.archives.geoid_window import datum_for
+from jaxgeo.io.archives.geoid_window import OFFLINE, datum_for, grid_folder, is_offline
 from jaxgeo.io.archives.parts import (
     ENDING,
     Part,
@@ -33,6 +33,7 @@ from jaxgeo.io.archives.parts import (
 from jaxgeo.io.archives.sight import BESIDE, REACH, Extent, follow
 from jaxgeo.io.archives.stac import tiles_of
 from jaxgeo.io.archives.store import DemCache
+from jaxgeo.io.archives.views import View
 from jaxgeo.io.archives.web import Web
 from jaxgeo.io.dem import read_dem
 from jaxgeo.io.files import DemFiles, open_dem
@@ -42,7 +43,6 @@ from jaxgeo.io.vertical import VerticalDatum
 from jaxgeo.io.windows import Bounds
 from jaxgeo.terrain.dem import Dem
 
-OFFLINE = "JAXGEO_OFFLINE"  # environment variable: 1 for no access to a network
 AT_ONCE = 4  # tiles read at the same time
 LATTICE = 0.02  # deg between the positions at which an area is looked at
 MOST_DEGREES = 16.0  # deg**2 of an area
@@ -135,7 +135,7 @@ def fetch_dem(
     archive: str | Archive = "copernicus",
     *,
     bounds: Bounds | None = None,
-    rays: Ray | Iterable[Ray] | None = None,
+    rays: Ray | Iterable[Ray] | View | None = None,
     spread: float = 0.0,
     beside: float = BESIDE,
     vertical_datum: VerticalDatum = None,
@@ -150,31 +150,33 @@ def fetch_dem(
     address with fields such as "https://host/{S}{W}.tif", or "stac:" and the address of a STAC collection. Give
 
     - `bounds`: (west, south, east, north) in deg; or
-    - `rays`: ECEF rays of any shape, or several batches. Each is followed until it has certainly hit the ground; with
-      `spread`, an angle in rad, and `beside`, a distance in m, by which their lines of sight may be wrong. Rays that
-      stay above the ground are cut at 100 km, rising ones at 20 km: `FetchedDem.cut` counts them.
+    - `rays`: ECEF rays of any shape, several batches of them, or a `View` (of `view_of`, `view_of_image`, `view_from`).
+      Each is followed until it has certainly hit the ground; with `spread`, an angle in rad, and `beside`, a distance
+      in m, by which the lines of sight may be wrong. Rays that stay above the ground are cut at 100 km, rising ones at
+      20 km: `FetchedDem.cut` counts them.
 
     Whole blocks of the tiles are read by range requests and kept in `cache`; what is there is not asked for again, also
     with `offline=True` (default: whether the environment variable JAXGEO_OFFLINE is 1). `mirror` is an address or a
-    folder with the layout of the archive, or "NAME=ADDRESS NAME=ADDRESS", where the name
-    "proj" is for PROJ's geoid grids (default: JAXGEO_DEM_MIRROR), `proxy` an
-    address (default: HTTPS_PROXY). `vertical_datum` replaces that of the archive, and is required for others if their
-    files do not state it. A geoid grid that PROJ lacks is fetched as a window from where PROJ publishes it.
+    folder with the layout of the archive, or "NAME=ADDRESS NAME=ADDRESS", where the name "proj" is for PROJ's geoid
+    grids (default: JAXGEO_DEM_MIRROR); `proxy` is an address (default: HTTPS_PROXY). `vertical_datum` replaces that of
+    the archive, and is required for others if their files do not state it. A geoid grid that PROJ lacks is fetched as a
+    window from where PROJ publishes it.
 
     Raises `ArchiveError`, a `DemError`, if something is missing, with what to do; `ImportError` for STAC without the
     extra.
     """
     found = archive_of(archive)
     area = None if bounds is None else _checked(found, bounds)
+    if isinstance(rays, View):
+        rays, spread, beside = rays.rays, max(spread, rays.spread), max(beside, rays.beside)
     each = [] if rays is None else [rays] if isinstance(rays, Ray) else list(rays)
     for one in each:
         check_is(one, Ray, "rays")
     if area is None and not each:
         raise ArchiveError(f"{found.name}: say for which ground: bounds=(west, south, east, north) or rays=.")
-    is_offline = os.environ.get(OFFLINE, "") not in ("", "0") if offline is None else offline
     mirrors = mirrors_of(mirror, found.name)
     kept = DemCache() if cache is None else cache
-    ground = _Ground(found, kept, Web.usual(proxy), is_offline, mirrors)
+    ground = _Ground(found, kept, Web.usual(proxy), is_offline() if offline is None else offline, mirrors)
     extent, cut = Extent(), 0
     if area is not None:
         lon, lat = _positions(area)
@@ -193,10 +195,11 @@ def fetch_dem(
             f"{found.where or 'other places'}. Take another archive, such as copernicus."
         )
     datum = vertical_datum
-    if datum is None and found.datum is not None:
+    if found.datum is not None and f"{datum}".removeprefix("EPSG:") in ("None", found.datum.removeprefix("EPSG:")):
         datum = ground.told(
             lambda web: datum_for(str(found.datum), found.geoid, edges, kept, web, mirrors.get(PROJ)),
-            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, or give another vertical_datum=...",
+            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, put the file into {grid_folder()}, or give "
+            f"another vertical_datum=...",
         )
     parts = [ground.parts[key] for key in sorted(ground.parts)]
     return FetchedDem(
@@ -233,9 +236,12 @@ class _Ground:
         if (east - west) % 360.0 > 3.0 or north - south > 3.0:
             return
         lon, lat = _positions(edges)
+        if any(cell not in self._headers for cell, _ in _by_cell(lon, lat)):
+            return
         wanted = self._needed(lon, lat)
         if sum(len(places) for places in wanted.values()) <= FILL:
-            self._fetch(wanted)
+            with contextlib.suppress(ArchiveError):  # no line of sight needs them
+                self._fetch(wanted)
 
     def lowest(self, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
         """As `Ground.lowest`."""
@@ -257,9 +263,8 @@ class _Ground:
         except Unreachable as error:
             raise Unreachable(f"{error}. {self._ways()} {advice}") from error
         except ArchiveError as error:
-            if not self.offline:
-                raise
-            raise ArchiveError(f"{self.archive.name}: offline, and {error}. {advice}") from error
+            why = "offline, and " if self.offline else ""
+            raise ArchiveError(f"{self.archive.name}: {why}{error}. {advice}") from error
 
     def _ellipsoidal(self, lon: np.ndarray, lat: np.ndarray, low: np.ndarray) -> np.ndarray:
         if self.archive.datum is None:
@@ -412,6 +417,8 @@ class _Ground:
                     f"{where}: there is no such file, and without it nobody can tell the sea from a missing tile "
                     f"({name}). Copy the file from {joined(self.archive.base, self.archive.listing)}, or the tile."
                 )
+            if self.archive.pattern.partition("{")[0].encode() not in content:
+                raise ArchiveError(f"{where}: this is not the archive's list of tiles; name another mirror=.")
             if name.rpartition(".")[0].encode() in content:
                 raise ArchiveError(
                     f"{self._at(cell)}: the archive lists this tile, so it is not sea, but the server has none. Try "

@@ -33,7 +33,19 @@ from jaxgeo.io.vertical import VerticalDatum, height_shift
 ROUND = 4  # deg: windows have edges at multiples, so that neighbouring places share one
 MORE = 3  # posts around it
 
+OFFLINE = "JAXGEO_OFFLINE"  # environment variable: 1 for no access to a network
+
 Bounds = tuple[float, float, float, float]
+
+
+def is_offline() -> bool:
+    """Whether the environment forbids the network."""
+    return os.environ.get(OFFLINE, "") not in ("", "0")
+
+
+def grid_folder() -> str:
+    """PROJ's folder of the user for grids."""
+    return get_user_data_dir()
 
 
 def datum_for(
@@ -78,6 +90,8 @@ def fetch_geoid(datum: str = "EPSG:3855", *, mirror: str | None = None, proxy: s
     `ArchiveError` if a grid cannot be fetched or its checksum is wrong, or for an unknown datum.
     """
     web = Web.usual(proxy)
+    if is_offline():
+        raise ArchiveError(f"{datum}: {OFFLINE} is set; a geoid grid is fetched through the network.")
     try:
         vertical = pyproj.CRS.from_user_input(datum)
         if not vertical.is_vertical:
@@ -142,7 +156,7 @@ def _window_of(url: str, web: Web, box: tuple[int, int, int, int]) -> bytes:
         top = max(math.floor((north - f) / e) - MORE, 0)
         bottom = min(math.ceil((south - f) / e) + MORE + 1, data.height)
         if first >= last or top >= bottom:
-            raise ArchiveError(f"{url}: the grid does not reach there.")
+            raise ArchiveError(f"{url}: the grid does not reach there")
         window = Window(first, top, last - first, bottom - top)  # pyright: ignore[reportCallIssue]
         values = data.read(1, window=window)
         affine = Affine(a, 0.0, c + a * (first + shift), 0.0, e, f + e * top)

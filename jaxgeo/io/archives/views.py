@@ -18,9 +18,10 @@ from jaxgeo.io.observations import Observations
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.uncertainty.sources import AbstractSource
 
-SIDE = 9  # lines of sight along each side of an image
+SIDE, FEW = 9, 3  # lines of sight along each side of an image, and of one of many
+MANY = 100
 SIGMAS = 5.0  # standard deviations by which lines of sight are widened
-MOST_IMAGES = 400  # whose whole images are looked at
+MOST_IMAGES = 2000  # of more, so many are looked at
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,21 +45,34 @@ def view_of(observed: Observations, *, whole: bool = False) -> View:
         if not whole:
             rays.append(rays_of(batch)[0])
             continue
-        for index in np.unique(np.linspace(0, len(batch) - 1, MOST_IMAGES).astype(int)).tolist():
-            exposure = batch.at(index)[0].exposure
-            rays += view_of_image(exposure.sensor, exposure.motion).rays
+        some = np.unique(np.linspace(0, len(batch) - 1, MOST_IMAGES).astype(int)).tolist()
+        exposures = [batch.at(index)[0].exposure for index in some]
+        rays += view_of_images([(one.sensor, one.motion, None) for one in exposures]).rays
     return View(tuple(rays), *spread_of(sources))
+
+
+def view_of_images(images: Sequence[tuple[Sensor, Shot | Trajectory, Any]]) -> View:
+    """The lines of sight of lattices over many images, (sensor, motion, time) each."""
+    some = images[:: max(1, -(-len(images) // MOST_IMAGES))]
+    side = SIDE if len(some) <= MANY else FEW
+    rays = [_lattice(*image, side) for image in some]
+    each = [(one.origin, one.direction) for one in rays]
+    origin, direction = (np.concatenate([np.asarray(one) for one in part]) for part in zip(*each, strict=True))
+    return View((Ray(origin, direction),))
 
 
 def view_of_image(
     sensor: Sensor, motion: Shot | Trajectory, time: Any = None, sources: Sequence[AbstractSource] = ()
 ) -> View:
     """The lines of sight of a lattice over an image, its outer edges included."""
+    return View((_lattice(sensor, motion, time, SIDE),), *spread_of(sources))
+
+
+def _lattice(sensor: Sensor, motion: Shot | Trajectory, time: Any, side: int) -> Ray:
     camera: Any = sensor.camera
-    u, v = (np.linspace(-0.5, getattr(camera, side) - 0.5, SIDE) for side in ("width", "height"))
+    u, v = (np.linspace(-0.5, getattr(camera, size) - 0.5, side) for size in ("width", "height"))
     uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    rays, _ = lines_of_sight(*checked_exposure(sensor, motion, time), uv)
-    return View((rays,), *spread_of(sources))
+    return lines_of_sight(*checked_exposure(sensor, motion, time), uv)[0]
 
 
 def view_from(position: Any, lat_deg: float, lon_deg: float) -> View:

@@ -27,6 +27,7 @@ PAUSE = 0.5  # s before the second try, doubled for each further one
 AGENT = "jaxgeo"
 AGAIN = (429, 500, 502, 503, 504)  # HTTP answers after which it is tried again
 ABSENT = (404, 410)
+NO_HEAD = (403, 405, 501)  # answers of servers that give headers only with content
 PIECE = 1 << 16
 LARGEST = 500_000_000  # bytes of a file read as a whole
 DRIVERS = ["GTiff", "SRTMHGT"]
@@ -73,8 +74,15 @@ class Web:
             return Remote(found.st_size, f"{found.st_mtime_ns}-{found.st_size}")
 
         def ask() -> Remote | None:
-            with self._asked(url, "HEAD") as answer:
-                size = answer.headers.get("Content-Length")
+            try:
+                answer = self._asked(url, "HEAD")
+            except urllib.error.HTTPError as error:
+                if error.code not in NO_HEAD:
+                    raise
+                answer = self._asked(url, "GET", {"Range": "bytes=0-0"})
+            with answer:
+                size = answer.headers.get("Content-Range", "").rpartition("/")[2]
+                size = size or answer.headers.get("Content-Length")
                 mark = answer.headers.get("ETag") or answer.headers.get("Last-Modified") or ""
                 return Remote(int(size) if size and size.isdigit() else None, f"{mark.strip()}-{size}")
 
@@ -141,10 +149,10 @@ class Web:
         }
         return found | ({} if self.proxy is None else {"GDAL_HTTP_PROXY": self.proxy, "GDAL_HTTPS_PROXY": self.proxy})
 
-    def _asked(self, url: str, method: str) -> Any:
+    def _asked(self, url: str, method: str, headers: dict[str, str] | None = None) -> Any:
         given = {} if self.proxy is None else {"proxies": {"http": self.proxy, "https": self.proxy}}
         opener = urllib.request.build_opener(urllib.request.ProxyHandler(**given))
-        request = urllib.request.Request(url, method=method, headers={"User-Agent": AGENT})
+        request = urllib.request.Request(url, method=method, headers={"User-Agent": AGENT, **(headers or {})})
         return opener.open(request, timeout=self.timeout)
 
     def _tried(self, url: str, ask: Callable[[], T]) -> T | None:
