@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 BLANKS = " \t\r\n\f\v"  # white space allowed around or between numbers
 MOST_DIGITS = 400  # of a number: a float64 in full has at most 310 before its decimal point
@@ -55,3 +56,10 @@ def numbers_in(words: Iterable[str]) -> list[float] | None:
 def words_of(text: str) -> list[str]:
     """The blank-separated words of a text; a no-break space counts as part of a word, as it may be part of a number."""
     return re.split(f"[{BLANKS}]+", text.strip(BLANKS)) if text.strip(BLANKS) else []
+
+
+def numbers_or_texts(cells: Sequence[str]) -> list[Any]:
+    """A column as numbers, None where a cell is empty; as it is if a cell is no number."""
+    numbers = [number_in(cell) for cell in cells]
+    is_text = any(cell.strip() and number is None for cell, number in zip(cells, numbers, strict=True))
+    return list(cells) if is_text else list(numbers)

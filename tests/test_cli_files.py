@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import pathlib
 
@@ -9,6 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rasterio
+import shapely
+from pyarrow import parquet
+from pyogrio import raw
 from support.command_files import DJI, LAT, LON, SMALL_POSE, prepare
 from support.drone_image_files import FULL, packet, write_image
 from typer.testing import CliRunner
@@ -207,3 +211,77 @@ def test_an_image_is_registered_from_its_own_tags(here: pathlib.Path) -> None:
     assert miss(after) < 3.0
     assert after["ce90_m"] < before["ce90_m"]
     assert read_scene("out/scene.toml").sensor.gimbal.names == ("yaw", "pitch", "roll")
+
+
+DETECTED = (
+    "image,label,u_min,v_min,u_max,v_max\na.jpg,car,1900,1400,1960,1450\nx.jpg,car,1,1,2,2\nb.jpg,hut,5,5,90,80\n"
+)
+
+
+@pytest.mark.costly
+def test_detections_are_points_and_polygons_on_the_ground(here: pathlib.Path) -> None:
+    pathlib.Path("found.csv").write_text(DETECTED)
+    told = done("locate", "strip", *ELLIPSOID, "--ground", "300", "--detections", "found.csv", "--no-accuracy", "-o",
+                "out.geojson")  # fmt: skip
+    assert [(one["name"], one["label"], one["status"]) for one in told["fixes"]] == [
+        ("a.jpg", "car", "hit"), ("x.jpg", "car", "file_not_read"), ("b.jpg", "hut", "hit")]  # fmt: skip
+    assert [one["outline_status"] for one in told["fixes"]] == ["hit", None, "hit"]
+    alone = done("locate", "strip/a.jpg", *ELLIPSOID, "--ground", "300", "--pixel", "1930,1425", "--no-accuracy")
+    for key in ("fix_lat_deg", "fix_lon_deg"):
+        assert told["fixes"][0][key] == pytest.approx(alone["fixes"][0][key], abs=1e-10)
+    features = json.loads(pathlib.Path("out.geojson").read_text())["features"]
+    shapes = [one for one in features if one["properties"]["kind"] == "detection"]
+    assert [one["properties"]["index"] for one in shapes] == [0, 2]
+    for one in shapes:
+        point = features[one["properties"]["index"]]["geometry"]["coordinates"]
+        outline = shapely.geometry.shape(one["geometry"])
+        assert outline.contains(shapely.Point(point[:2]))
+        assert outline.is_valid
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("ending", [".csv", ".gpkg", ".kml", ".parquet"])
+def test_outlines_of_detections_are_in_every_format(here: pathlib.Path, ending: str) -> None:
+    pathlib.Path("found.csv").write_text(DETECTED)
+    written = ["--detections", "found.csv", "--anchor", "bottom", "--pixel-origin", "corner", "-o", f"out{ending}"]
+    told = done("locate", "strip", *ELLIPSOID, "--ground", "300", *written)
+    assert told["fixes"][0]["ce90_m"] > 0.0
+    path = f"out{ending}"
+    if ending == ".csv":
+        with open(path, newline="", encoding="utf-8") as stream:
+            shapes = [shapely.from_wkt(row["detection"]) for row in csv.DictReader(stream) if row["detection"]]
+    elif ending == ".gpkg":
+        shapes = list(shapely.from_wkb(raw.read(path, layer="detections")[2]))
+    elif ending == ".kml":
+        text = pathlib.Path(path).read_text(encoding="utf-8")
+        assert "<name>Detections</name>" in text
+        assert "car in a.jpg" in text
+        return
+    else:
+        found = parquet.read_table(path).column("detection").to_pylist()
+        shapes = [shapely.from_wkb(one) for one in found if one is not None]
+    assert len(shapes) == 2
+    for shape, one in zip(shapes, (told["fixes"][0], told["fixes"][2]), strict=True):
+        ring = np.array(one["outline"])[:, :2]
+        assert shapely.Polygon(ring).symmetric_difference(shape).area < 1e-3 * shape.area
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["DJI_0042.JPG", "--anchor", "bottom"], ["--anchor bottom goes with --detections FILE"]),
+        (["DJI_0042.JPG", "--detections", "f.csv", "--pixel", "1,2"], ["either --pixel", "or --detections FILE"]),
+        (["DJI_0042.JPG", "--detections", "f.csv", "--anchor", "top"], ["--anchor top: expected centre or bottom"]),
+        (["DJI_0042.JPG", "--detections", "f.csv", "--pixel-origin", "x"], ["--pixel-origin x: expected centre"]),
+        (["DJI_0042.JPG", "--detections", "f.csv", "--shard", "1/2"], ["--shard and --detections do not go together"]),
+        (["--scene", "scene.toml", "--detections", "f.csv"], ["--detections f.csv needs FILEs of images"]),
+        (["DJI_0042.JPG", "--detections", "f.csv"], ["x.jpg: no detection is in an image that was read, such as DJI"]),
+        (["DJI_0042.JPG", "--detections", "none.csv"], ["none.csv"]),
+        (["DJI_0042.JPG", "--detections", "f.csv", "--cluster", "local:1"], ["f.csv and --cluster do not go together"]),
+    ],
+)
+def test_mistakes_of_detections(here: pathlib.Path, arguments: list[str], words: list[str]) -> None:
+    pathlib.Path("f.csv").write_text("image,u,v\nx.jpg,1,2\n")
+    scene_of("DJI_0042.JPG")
+    of_file = [] if "--scene" in arguments else ELLIPSOID
+    assert_refused(run("locate", *arguments, *of_file, "--ground", "300"), *words)

@@ -182,6 +182,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--image-size 64,48 --upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 "
     "--positions p",
     "dem --geoid EPSG:3855 --clear-cache",
+    "locate images --detections found.csv --pixel-origin corner --anchor bottom",
+    "report images --detections found.csv --pixel-origin corner --anchor bottom -o out.html",
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",

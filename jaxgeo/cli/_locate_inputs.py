@@ -45,12 +45,14 @@ BENT = "what it bends at the corners counts as an error of the focal length"
 
 @dataclasses.dataclass(frozen=True)
 class LocateInputs:
-    """Observations, the ground of each batch or `DemFiles`, whether error sources are used, assumptions as printed."""
+    """Observations, the ground of each batch or `DemFiles`, whether error sources are used, assumptions as printed;
+    and of detections their outlines (n, 2) in pixels."""
 
     observed: jaxgeo.io.Observations
     grounds: Any
     has_errors: bool
     assumed: list[str]
+    vertices: list[np.ndarray] | None = None
 
     @property
     def reasons(self) -> list[str | None] | None:
@@ -106,7 +108,7 @@ def inputs_of(
     options.check()
     if with_errors is None and options.of_images.shots is None:
         with_errors = not options.is_scene or bool(options.sigmas.given) or None
-    observed = _observations(options)
+    observed, vertices = _observations(options)
     if with_errors is None:
         with_errors = any(batch.sources for batch in observed.batches) and options.of_images.shots is None
     if options.refraction:
@@ -118,16 +120,23 @@ def inputs_of(
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
     if check is not None:
         check(observed, bool(with_errors))
-    return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed)
+    whole |= vertices is not None
+    return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed, vertices)
 
 
-def _observations(options: LocateOptions) -> jaxgeo.io.Observations:
+def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[np.ndarray] | None]:
+    """(observations, outlines of detections in pixels)."""
     from jaxgeo.io import read_observations
+    from jaxgeo.io.detected import observations_of_detections
+    from jaxgeo.io.detections import read_detections
 
     given = options.of_images
+    detections = None
+    if given.detections is not None:
+        detections = read_detections(given.detections, pixel_origin=given.pixel_origin or "centre")
     form = "COLUMN,ROW, two numbers, e.g. --pixel 100,200"
     with reading_files(options.files or [pathlib.Path(f"{given.scene}")]) as progress:
-        return read_observations(
+        found = read_observations(
             options.files,
             [numbers_in("--pixel", text, (2,), form) for text in options.pixels] or None,
             scene=given.scene,
@@ -137,6 +146,9 @@ def _observations(options: LocateOptions) -> jaxgeo.io.Observations:
             progress=progress,
             **options.reading.arguments,
         )
+    if detections is None:
+        return found, None
+    return observations_of_detections(found, detections, anchor=given.anchor or "centre")
 
 
 def _assumed(observed: jaxgeo.io.Observations, options: LocateOptions) -> tuple[list[str], list[str]]:

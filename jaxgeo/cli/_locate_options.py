@@ -53,6 +53,32 @@ class ObservationOptions(OptionGroup):
         list[str] | None,
         typer.Option("--pixel", metavar="PIXEL", help="COLUMN,ROW of a pixel (repeatable; default: image centre)."),
     ] = None
+    detections: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--detections",
+            metavar="FILE",
+            help="Detections to locate instead of pixels: CSV (image, u, v or u_min ... v_max), GeoJSON in pixels, "
+            "COCO, or a folder of YOLO files.",
+        ),
+    ] = None
+    pixel_origin: Annotated[
+        str | None,
+        typer.Option(
+            "--pixel-origin",
+            metavar="ORIGIN",
+            help="Pixel (0, 0) of --detections in CSV and GeoJSON: the centre (default) or corner of the first.",
+        ),
+    ] = None
+    anchor: Annotated[
+        str | None,
+        typer.Option(
+            "--anchor",
+            metavar="PLACE",
+            help="Pixel of a box or polygon of --detections: its centre (default), or the bottom, where an upright "
+            "object stands.",
+        ),
+    ] = None
     exposures: Annotated[
         list[str] | None,
         typer.Option("--exposure", metavar="NAME", help="Exposure name (repeatable; default: all)."),
@@ -152,6 +178,7 @@ class LocateOptions:
         """The options as typed, by name."""
         given, ground = self.of_images, self.ground
         paths = {"file": self.files[0] if len(self.files) == 1 else None, "scene": given.scene, "shots": given.shots}
+        paths |= {"detections": given.detections, "anchor": given.anchor, "pixel_origin": given.pixel_origin}
         found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
         if len(self.files) > 1:
             found["files"] = [str(path) for path in self.files]
@@ -169,7 +196,15 @@ class LocateOptions:
     def input_files(self) -> list[str | pathlib.Path]:
         """All files that are read, those in folders too."""
         given, reading = self.of_images, self.reading
-        named = [*self.files, given.scene, given.shots, reading.errors, reading.interior, reading.positions]
+        named = [
+            *self.files,
+            given.scene,
+            given.shots,
+            given.detections,
+            reading.errors,
+            reading.interior,
+            reading.positions,
+        ]
         files: list[str | pathlib.Path] = [one for one in named if one is not None]
         files += [reading.camera] if reading.camera is not None and reading.camera.lower().endswith(".toml") else []
         for folder in [pathlib.Path(one) for one in files if pathlib.Path(one).is_dir()]:
@@ -194,6 +229,7 @@ class LocateOptions:
                 raise UserError(f"--shots {given.shots}: use it with --scene, not with {self.files[0]}{more}.")
             if self.pixels:
                 raise UserError("give either --pixel COLUMN,ROW (repeatable) or --shots FILE.")
+        self._check_detections()
         if bool(ground.dem) == (ground.level is not None):
             raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
         if not ground.dem:
@@ -202,6 +238,24 @@ class LocateOptions:
             raise UserError("--exposure needs a FILE of exposures; a scene has only one.")
         if self.sigmas.dem_correlation is not None and ground.level is not None:
             raise UserError("--dem-correlation: level ground has one common height error; use it with --dem.")
+
+    def _check_detections(self) -> None:
+        given = self.of_images
+        if given.detections is None:
+            for name, value in (("pixel-origin", given.pixel_origin), ("anchor", given.anchor)):
+                if value is not None:
+                    raise UserError(f"--{name} {value} goes with --detections FILE.")
+            return
+        if self.is_scene:
+            raise UserError(f"--detections {given.detections} needs FILEs of images, which it names.")
+        if self.pixels:
+            raise UserError("give either --pixel COLUMN,ROW (repeatable) or --detections FILE.")
+        if given.shard is not None:
+            raise UserError("--shard and --detections do not go together; name the images of each job.")
+        if given.pixel_origin not in (None, "centre", "corner"):
+            raise UserError(f"--pixel-origin {given.pixel_origin}: expected centre or corner.")
+        if given.anchor not in (None, "centre", "bottom"):
+            raise UserError(f"--anchor {given.anchor}: expected centre or bottom.")
 
 
 def _is_scene_file(path: pathlib.Path) -> bool:

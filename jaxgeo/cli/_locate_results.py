@@ -14,6 +14,7 @@ from jaxgeo.cli._common import FAULT, NO_ANSWER
 from jaxgeo.cli._locate_inputs import LocateInputs
 from jaxgeo.cli._screen import bars_on_stderr, number_table, print_message, progress_bar, working
 from jaxgeo.fix import Fix
+from jaxgeo.io.detected import DetectedOutlines
 from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import Accuracy
 
@@ -45,6 +46,19 @@ def locate_inputs(inputs: LocateInputs, probability: float) -> tuple[Fix, Accura
         )
 
 
+def outlines_of(inputs: LocateInputs) -> DetectedOutlines | None:
+    """The outlines of detections on the ground; None if there are none."""
+    from jaxgeo.io import locate_observations
+    from jaxgeo.io.detected import outline_observations, outlines_on_ground
+
+    found = None if inputs.vertices is None else outline_observations(inputs.observed, inputs.vertices)
+    if found is None:
+        return None
+    observed, rows = found
+    with working("locating outlines"):
+        return outlines_on_ground(locate_observations(observed, inputs.grounds), rows)
+
+
 def fixes_as_computed(inputs: LocateInputs) -> Iterator[Fix]:
     """Fixes of consecutive parts of the only batch; progress bar on stderr."""
     from jaxgeo.io.located import fixes_in_parts
@@ -63,6 +77,8 @@ def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width
     columns: dict[str, tuple[str, str]] = {}
     if "name" in first:
         columns["name"] = ("name", "")
+    if "label" in first:
+        columns["label"] = ("label", "")
     pixels = {(row["u"], row["v"]) for row in rows}
     if "name" not in first or is_wide or len(pixels) > 1:
         columns |= {"u": ("u", ".0f"), "v": ("v", ".0f")}

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo._destination import check_place
-from jaxgeo._text_numbers import number_in
+from jaxgeo._text_numbers import numbers_or_texts
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -165,11 +165,5 @@ def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
 
     rows = list(carried)
     kept = [name for name in rows[0] if name.lower() not in TAKEN]
-    columns = {name: _numbers_or_texts([row[name] for row in rows]) for name in kept}
+    columns = {name: numbers_or_texts([row[name] for row in rows]) for name in kept}
     return [{name: columns[name][index] for name in kept} for index in range(len(rows))]
-
-
-def _numbers_or_texts(cells: list[str]) -> list[Any]:
-    numbers = [number_in(cell) for cell in cells]
-    is_text = any(cell.strip() and number is None for cell, number in zip(cells, numbers, strict=True))
-    return list(cells) if is_text else numbers

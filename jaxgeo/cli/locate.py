@@ -23,7 +23,7 @@ from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
-from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixes_table, locate_inputs
+from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixes_table, locate_inputs, outlines_of
 from jaxgeo.cli._option_names import reason_not_read
 from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
@@ -140,6 +140,8 @@ def locate_command(
         if accuracy is False and sigmas.given:
             raise UserError("--no-accuracy contradicts standard deviations (--...-sigma); leave one out.")
         if many.cluster is not None:
+            if of_images.detections is not None:
+                raise UserError(f"--detections {of_images.detections} and --cluster do not go together; leave one out.")
             many.check_parts(True, format=writing.format is not None)
             _locate_on_cluster(options, accuracy, probability, writing, many, as_json)
             return
@@ -160,6 +162,8 @@ def _locate_all(
     inputs = read_inputs(options, accuracy, writing.output, check)
     fixes, found = locate_inputs(inputs, probability)
     rows = inputs.observed.table(fixes, found, reasons=inputs.reasons)
+    outlines = outlines_of(inputs)
+    extra = [{} for _ in rows] if outlines is None else [{"outline_status": one} for one in outlines.statuses]
     if writing.is_file:
         from jaxgeo.io import write_fixes
 
@@ -169,12 +173,16 @@ def _locate_all(
             fixes,
             accuracy=found,
             probability=probability if found is not None else None,
-            attributes=_typed(inputs.observed),
+            attributes=[row | more for row, more in zip(_typed(inputs.observed), extra, strict=True)],
             reasons=inputs.reasons,
+            rings=None if outlines is None else outlines.rings,
             **writing.drawn,
         )
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:
+        if outlines is not None:
+            each = zip(rows, extra, outlines.rings, strict=True)
+            rows = [row | more | {"outline": None if ring is None else ring.tolist()} for row, more, ring in each]
         print_json("locate", {"inputs": options.inputs, "assumed": inputs.assumed, "fixes": rows})
     exit_without_fix(inputs, fixes)
 

@@ -32,7 +32,7 @@ WGS84 = ("EPSG:4979", "EPSG:4326", "OGC:CRS84", "OGC:CRS84h")
 
 
 class FixTable(NamedTuple):
-    """Content of a file of n fixes: rows, map coordinates (n, 3), NaN if there are none, and outlines.
+    """Content of a file of n fixes: rows, map coordinates (n, 3), NaN if there are none, and outlines of accuracy.
 
     Columns in `carried` are the caller's.
     """
@@ -45,6 +45,7 @@ class FixTable(NamedTuple):
     kinds: list[str]
     carried: frozenset[str]
     metadata: Mapping[str, Any]
+    detected: tuple[BaseGeometry | None, ...] = ()  # outlines of what was detected; empty if there are none
 
     @property
     def points(self) -> list[BaseGeometry | None]:
@@ -58,15 +59,22 @@ def _outline_row(table: FixTable, i: int) -> dict[str, Any]:
     return {"index": row.pop("index"), "kind": table.kinds[i]} | row
 
 
+def _detected_row(table: FixTable, i: int) -> dict[str, Any]:
+    return _outline_row(table, i) | {"kind": "detection"}
+
+
 def _csv(table: FixTable) -> bytes:
     """CSV with the semi-axes instead of outlines, and map coordinates in columns of their own."""
     decimals = dict(zip(PLACE, [10 if table.chart.flat.is_geographic else 4] * 2 + [4], strict=True)) | FIX_DECIMALS
     stream = io.StringIO(newline="")
     writer = None
-    for row, place in zip(table.rows, table.places, strict=True):
+    for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True)):
         mapped = {name: x if math.isfinite(x) else None for name, x in zip(PLACE, place.tolist(), strict=True)}
         line = row | mapped | {"crs": table.metadata["crs"]}
         line["vertical_datum"] = line.pop("vertical_datum")  # moved to the end
+        if table.detected:
+            outline = table.detected[i]
+            line["detection"] = None if outline is None else shapely.to_wkt(outline, decimals[PLACE[0]])
         if writer is None:
             writer = csv.DictWriter(Rows(stream), list(line), lineterminator="\r\n")
             writer.writerow({name: safe_cell(name) for name in line})
@@ -93,6 +101,10 @@ def _geojson(table: FixTable) -> bytes:
         if outline is not None:
             mapped = shapely.geometry.mapping(shapely.transform(outline, lambda ring: np.round(ring, decimals)))
             features.append({"type": "Feature", "geometry": mapped, "properties": _outline_row(table, i)})
+    for i, outline in enumerate(table.detected):
+        if outline is not None:
+            mapped = shapely.geometry.mapping(shapely.transform(outline, lambda ring: np.round(ring, decimals)))
+            features.append({"type": "Feature", "geometry": mapped, "properties": _detected_row(table, i)})
     head: dict[str, Any] = {"type": "FeatureCollection"} | _named_crs(table) | {"jaxgeo": table.metadata}
     for feature in features:
         feature["properties"] = {name: _json(value) for name, value in feature["properties"].items()}
@@ -130,6 +142,9 @@ def _geopackage(table: FixTable) -> bytes:
     if drawn:
         kinds = {one.geometry.geom_type for one in drawn if one.geometry is not None}
         layers["ellipses"] = Layer(drawn, table.chart.flat, "Polygon" if kinds == {"Polygon"} else "Unknown")
+    seen = [Feature(one, _detected_row(table, i)) for i, one in enumerate(table.detected) if one is not None]
+    if seen:
+        layers["detections"] = Layer(seen, table.chart.flat, "Unknown")
     with tempfile.TemporaryDirectory() as folder:
         return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata)
 
@@ -141,6 +156,8 @@ def as_parquet(table: FixTable, types: Mapping[str, str] | None = None) -> bytes
     if any(one is not None for one in table.outlines) or (types is not None and "kind" in types):
         geometries["ellipse"] = GeometryColumn(table.outlines, table.chart.flat)
         columns["kind"] = [None if one is None else kind for one, kind in zip(table.outlines, table.kinds, strict=True)]
+    if table.detected:
+        geometries["detection"] = GeometryColumn(list(table.detected), table.chart.flat)
     return geoparquet(columns, geometries, table.metadata, types)
 
 
@@ -154,11 +171,22 @@ def _kml(table: FixTable) -> bytes:
         points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at))
         if table.outlines[i] is not None:
             areas.append(Placemark(f"{table.kinds[i]} of {title}", "area", _outline_row(table, i), table.outlines[i]))
+    shapes = [
+        Placemark(
+            f"{table.rows[i].get('label') or 'detection'} in {table.rows[i].get('name') or i}",
+            "area",
+            _detected_row(table, i),
+            one,
+        )
+        for i, one in enumerate(table.detected)
+        if one is not None
+    ]
     share = table.metadata.get("probability")
     about = "Heights of points are above mean sea level, EGM96; fix_height_m is above the WGS 84 ellipsoid."
     about += f" Outlines hold the truth with a probability of {share:g}." if areas else ""
     try:
-        return kml("Fixes", about, {"Fixes": points} | ({"Ellipses": areas} if areas else {}))
+        folders = {"Fixes": points} | ({"Ellipses": areas} if areas else {})
+        return kml("Fixes", about, folders | ({"Detections": shapes} if shapes else {}))
     except ValueError as error:
         raise ValueError(f"{table.name}: {error}") from error
 

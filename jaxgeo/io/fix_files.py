@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import shapely
 from shapely.geometry.base import BaseGeometry
 
 from jaxgeo._checks import check_is, require_x64
@@ -24,7 +25,7 @@ from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.io.geoid import EGM96, degrees_of
 from jaxgeo.status import Status
 
-TAKEN = ("kind", "mgrs", *PLACE, "crs", "vertical_datum", "fid", "geom", "geometry", "ellipse")
+TAKEN = ("kind", "detection", "mgrs", *PLACE, "crs", "vertical_datum", "fid", "geom", "geometry", "ellipse")
 UNITS = {"_m": "m", "_m2": "m^2", "_deg": "deg", "azimuth_deg": "deg clockwise from north, of the longer semi-axis"}
 
 
@@ -42,6 +43,7 @@ def write_fixes(
     ellipses: bool = True,
     mgrs: bool = False,
     reasons: Sequence[str | None] | None = None,
+    rings: Sequence[np.ndarray | None] | None = None,
 ) -> None:
     """Write fixes and their accuracy to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
 
@@ -67,6 +69,9 @@ def write_fixes(
     - `mgrs`: also the MGRS reference to 1 m (needs the extra `gis`, as .parquet does).
     - `reasons`: for each fix None, or a text for the column `status_text` instead of that of its status, for example
       that its file could not be read.
+    - `rings`: for each fix None, or the outline (m, 3) of what was detected there: longitudes and latitudes in deg,
+      heights above the ellipsoid in m. They are features or placemarks of kind "detection", a layer `detections`
+      (.gpkg), a geometry column `detection` (.parquet), or well-known text in a column `detection` (.csv).
 
     The file appears only when complete. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
     that is unknown, unsuitable or does not cover the fixes, unknown heights, and arguments that do not match the fixes;
@@ -95,7 +100,7 @@ def write_fixes(
         chart = _chart(target, crs, heights, fixes.position)
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
         table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=ellipses)
-        stream.write(write(table))
+        stream.write(write(table._replace(detected=_detected(f"{target}", chart, rings, len(table.rows)))))
 
 
 def check_fix_file(
@@ -219,6 +224,24 @@ def _outlines(
     lonlat = np.stack([lon, lat], axis=-1)
     polygons = ellipse_polygons(name, chart, lonlat, np.asarray(fixes.ecef), axes, azimuth, centre)
     return polygons, ["circle" if one else "ellipse" for one in alone]
+
+
+def _detected(
+    name: str, chart: MapCRS, rings: Sequence[np.ndarray | None] | None, count: int
+) -> tuple[BaseGeometry | None, ...]:
+    """The outlines of what was detected, on the map; empty if there are none."""
+    if rings is None or all(ring is None for ring in rings):
+        return ()
+    if len(rings) != count:
+        raise ValueError(f"{name}: rings must be one, or None, for each of {count} fixes; got {len(rings)}.")
+    found: list[BaseGeometry | None] = []
+    for ring in rings:
+        if ring is None:
+            found.append(None)
+            continue
+        polygon = shapely.Polygon(chart.points(name, *np.asarray(ring, np.float64).T)[:, :2])
+        found.append(polygon if polygon.is_valid else shapely.make_valid(polygon))
+    return tuple(found)
 
 
 def _metadata(chart: MapCRS, figures: Figures | None) -> Mapping[str, Any]:

@@ -156,7 +156,11 @@ MISTAKES = [
     ("pixel_pitch_um = 5.0", "pixel_pitch_um = -5.0", ["[camera] pixel_pitch_um = -5.0", "greater than 0 um"]),
     ("width = 400", "width = 400.5", ["[camera] width = 400.5", "whole pixels"]),
     ("[1.0, 0.0, 0.5]", "[1.0, 0.5]", ["[mount] lever_body_m = [1.0, 0.5]", "list of 3 numbers in m"]),
-    ('"two_axis"', '"two-axis"', ["[gimbal] kind = 'two-axis'", "'two_axis', 'mirror', 'level', 'three_axis' or 'fixed'"]),
+    (
+        '"two_axis"',
+        '"two-axis"',
+        ["[gimbal] kind = 'two-axis'", "'two_axis', 'mirror', 'level', 'three_axis' or 'fixed'"],
+    ),
     ("inner_deg = -1.0", "yaw_deg = 1.0", ["[gimbal]", "outer_deg, inner_deg (deg)", "yaw_deg"]),
     ("outer_deg = 60.0\ninner_deg = -1.0", "", ["[gimbal]", "outer_deg, inner_deg (deg)"]),
     ('height_datum = "ellipsoid"', "", ["[pose] height_datum is missing", "EPSG:5773", "undulation in m"]),

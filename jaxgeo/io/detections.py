@@ -1,0 +1,247 @@
+"""Detections in images: points, boxes and polygons in pixels, as tables and as annotation and detection tools write
+them.
+
+- CSV: a row per detection with `image`, and `u`, `v`, or `u_min`, `v_min`, `u_max`, `v_max`; other columns are kept.
+- GeoJSON: points and polygons in pixels (column, row), with the property `image`; other properties are kept.
+- COCO (Lin et al. 2014, "Microsoft COCO: common objects in context"): `images`, `annotations` with `bbox` (left, top,
+  width, height) or polygons as `segmentation`, `categories`.
+- YOLO: a folder with a file NAME.txt for each image, rows of `class x y width height [confidence]` or
+  `class x1 y1 x2 y2 x3 y3 ...`, as shares of width and height of the image; names of classes in classes.txt.
+
+Pixel (0, 0) is the centre of the first pixel in CSV and GeoJSON, unless its corner is asked for. In COCO and YOLO it is
+always the outer corner.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import pathlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxgeo._text_numbers import numbers_or_texts
+from jaxgeo.io._csv import Limits, read_csv
+from jaxgeo.io._json import read_json
+from jaxgeo.io._text import read_text
+from jaxgeo.io.errors import TableError
+
+ORIGINS = {"centre": 0.0, "corner": 0.5}  # pixels from the first pixel's centre back to the origin
+PIXELS: Limits = (-1e6, 1e6, "pixels")
+BOX = ("u_min", "v_min", "u_max", "v_max")
+CLASSES = "classes.txt"
+IMAGE = ("image", "file_name", "filename")  # properties that name the image
+
+
+@dataclasses.dataclass(frozen=True)
+class Detection:
+    """A point, box or polygon in an image.
+
+    - `image`: name of the image's file, with or without extension or folder.
+    - `kind`: "point", "box" or "polygon"; `vertices` (n, 2) are column and row, centres of pixels at integers, or
+      shares of the image's width and height from its corner if `is_share`.
+    - `attributes`: what else the file says, such as `label` and `score`.
+    """
+
+    image: str
+    kind: str
+    vertices: np.ndarray
+    attributes: dict[str, Any]
+    is_share: bool = False
+
+    def of_size(self, width: int, height: int) -> np.ndarray:
+        """Vertices (n, 2) in pixels of an image of a size in pixels."""
+        return self.vertices * [width, height] - 0.5 if self.is_share else self.vertices
+
+    def pixel_of(self, vertices: np.ndarray, anchor: str) -> np.ndarray:
+        """The pixel (2,) that stands for the detection: its centre (of area), or the middle of its lower edge."""
+        if anchor == "bottom" and self.kind != "point":
+            (left, _), (right, bottom) = vertices.min(axis=0), vertices.max(axis=0)
+            return np.array([0.5 * (left + right), bottom])
+        if self.kind == "polygon":
+            import shapely
+
+            middle = shapely.Polygon(vertices).centroid
+            if not middle.is_empty:
+                return np.array([middle.x, middle.y])
+        return vertices.mean(axis=0)
+
+
+def read_detections(path: str | os.PathLike[str], *, pixel_origin: str = "centre") -> list[Detection]:
+    """Read detections from a CSV, GeoJSON or COCO file, or a folder of YOLO files; see the formats above.
+
+    `pixel_origin` is where (0, 0) of CSV and GeoJSON lies: at the "centre" of the first pixel or its outer "corner".
+    Raises `TableError` (row or number of the detection named) for a file in another form, without detections, and for
+    values that are missing, not finite or no polygons; `ValueError` for another origin; `FileNotFoundError`.
+    """
+    if pixel_origin not in ORIGINS:
+        raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
+    source, back = pathlib.Path(path), ORIGINS[pixel_origin]
+    if source.is_dir():
+        found = _yolo(source)
+    elif source.suffix.lower() in (".json", ".geojson"):
+        content = read_json(source, "set of detections")
+        is_collection = isinstance(content, dict) and content.get("type") == "FeatureCollection"
+        found = _geojson(source, content, back) if is_collection else _coco(source, content)
+    elif source.suffix.lower() == ".txt":
+        raise TableError(f"{source}: YOLO has a file for each image; give the folder that holds them.")
+    else:
+        found = _table(source, back)
+    if not found:
+        raise TableError(f"{source}: there are no detections in it.")
+    return found
+
+
+def _box(corners: Sequence[float]) -> np.ndarray:
+    """Vertices (4, 2) of a box, clockwise in the image from its upper left corner."""
+    left, top, right, bottom = corners
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]], np.float64)
+
+
+def _table(path: pathlib.Path, back: float) -> list[Detection]:
+    table = read_csv(path, "table of detections", ("image",), known=("u", "v", *BOX))
+    has_box, has_point = (all(name in table.header for name in names) for names in (BOX, ("u", "v")))
+    if not has_box and not has_point:
+        raise TableError(
+            f"{path}: no columns u, v, nor {', '.join(BOX)}; give the pixel of each detection, or its box."
+        )
+    names = BOX if has_box else ("u", "v")
+    numbers = np.stack([table.numbers(name, PIXELS) for name in names], axis=-1) - back
+    rows = table.rows
+    others = {name: numbers_or_texts([row[name] for row in rows]) for name in rows[0] if name not in ("image", *names)}
+    found = []
+    for index, (row, values) in enumerate(zip(rows, numbers, strict=True)):
+        if not row["image"].strip():
+            raise table.wrong(index, "image", "empty; expected the name of an image.")
+        if has_box and not (values[0] < values[2] and values[1] < values[3]):
+            raise table.wrong(index, "u_max", "the box has no area; expected u_min < u_max and v_min < v_max.")
+        rest = {name: cells[index] for name, cells in others.items()}
+        vertices = _box(values.tolist()) if has_box else values[None, :]
+        found.append(Detection(row["image"].strip(), "box" if has_box else "point", vertices, rest))
+    return found
+
+
+def _geojson(path: pathlib.Path, content: Mapping[str, Any], back: float) -> list[Detection]:
+    found = []
+    for number, feature in enumerate(_list(path, content, "features"), 1):
+        where = f"{path}, feature {number}"
+        own = feature.get("properties") if isinstance(feature, dict) else None
+        own = own if isinstance(own, dict) else {}
+        image = next((own[name] for name in IMAGE if isinstance(own.get(name), str) and own[name].strip()), None)
+        if image is None:
+            raise TableError(f"{where}: no property image; expected the name of the image's file.")
+        geometry = feature.get("geometry") or {}
+        rest = {name: value for name, value in own.items() if name not in IMAGE and not isinstance(value, dict | list)}
+        if geometry.get("type") == "Point":
+            vertices = _pairs(where, [geometry.get("coordinates")])
+        elif geometry.get("type") == "Polygon":
+            rings = geometry.get("coordinates")
+            vertices = _pairs(where, rings[0] if isinstance(rings, list) and rings else None)
+        else:
+            raise TableError(
+                f"{where}: its geometry is {geometry.get('type')!r}; expected a Point or Polygon, in pixels."
+            )
+        kind = "point" if geometry["type"] == "Point" else "polygon"
+        found.append(_checked(where, image.strip(), kind, vertices - back, rest))
+    return found
+
+
+def _coco(path: pathlib.Path, content: Any) -> list[Detection]:
+    if isinstance(content, list):
+        raise TableError(
+            f"{path}: a list of COCO results names images by number only; give a file with images and annotations."
+        )
+    if not isinstance(content, dict) or "annotations" not in content or "images" not in content:
+        raise TableError(f"{path}: neither GeoJSON (features) nor COCO (images and annotations).")
+    images = {one.get("id"): one.get("file_name") for one in _list(path, content, "images") if isinstance(one, dict)}
+    labels = {one.get("id"): one.get("name") for one in content.get("categories") or [] if isinstance(one, dict)}
+    found = []
+    for number, one in enumerate(_list(path, content, "annotations"), 1):
+        where = f"{path}, annotation {number}"
+        image = images.get(one.get("image_id")) if isinstance(one, dict) else None
+        if not isinstance(image, str):
+            raise TableError(f"{where}: its image_id is that of no image with a file_name.")
+        rest = {"label": labels.get(one.get("category_id"), one.get("category_id")), "score": one.get("score")}
+        rest |= {"id": one.get("id")}
+        shape = one.get("segmentation")
+        parts = shape if isinstance(shape, list) else []
+        if len(parts) == 1 and isinstance(parts[0], list) and len(parts[0]) >= 6 and len(parts[0]) % 2 == 0:
+            vertices = _pairs(where, list(zip(parts[0][::2], parts[0][1::2], strict=True)))
+            found.append(_checked(where, image, "polygon", vertices - 0.5, rest))
+            continue
+        bounds = one.get("bbox")
+        left, top, width, height = _numbers(where, bounds, 4, "bbox (left, top, width, height)")
+        vertices = _box((left, top, left + width, top + height)) - 0.5
+        found.append(_checked(where, image, "box", vertices, rest))
+    return found
+
+
+def _yolo(folder: pathlib.Path) -> list[Detection]:
+    labels = []
+    if (folder / CLASSES).is_file():
+        labels = read_text(folder / CLASSES, "list of classes").split("\n")
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".txt" and path.name != CLASSES)
+    if not files:
+        raise TableError(f"{folder}: no file NAME.txt of YOLO detections in it.")
+    found = []
+    for path in files:
+        if not path.stat().st_size:  # an image without detections
+            continue
+        for number, line in enumerate(read_text(path, "file of detections").splitlines(), 1):
+            if not line.strip():
+                continue
+            where = f"{path}, line {number}"
+            values = _numbers(where, line.split(), None, "class x y width height, or class x1 y1 x2 y2 x3 y3 ...")
+            kind, values = values[0], values[1:]
+            label = labels[int(kind)] if kind == int(kind) and 0 <= kind < len(labels) else f"{kind:g}"
+            rest: dict[str, Any] = {"label": label.strip(), "score": None}
+            if len(values) in (4, 5):
+                x, y, width, height = values[:4]
+                rest["score"] = values[4] if len(values) == 5 else None
+                vertices, form = _box((x - width / 2, y - height / 2, x + width / 2, y + height / 2)), "box"
+            elif len(values) >= 6 and len(values) % 2 == 0:
+                vertices, form = np.array(values).reshape(-1, 2), "polygon"
+            else:
+                raise TableError(f"{where}: {len(values) + 1} numbers; expected class x y width height [confidence].")
+            if np.max(np.abs(vertices)) > 2.0:
+                raise TableError(f"{where}: coordinates are shares of the image, from 0 to 1; these are larger.")
+            found.append(dataclasses.replace(_checked(where, path.stem, form, vertices, rest), is_share=True))
+    return found
+
+
+def _checked(where: str, image: str, kind: str, vertices: np.ndarray, rest: dict[str, Any]) -> Detection:
+    if kind == "polygon" and len(vertices) > 1 and np.array_equal(vertices[0], vertices[-1]):
+        vertices = vertices[:-1]
+    if kind != "point" and (len(vertices) < 3 or not np.all(np.ptp(vertices, axis=0) > 0.0)):
+        raise TableError(f"{where}: the {kind} has no area.")
+    return Detection(image, kind, vertices, rest)
+
+
+def _list(path: pathlib.Path, content: Mapping[str, Any], name: str) -> list[Any]:
+    found = content.get(name)
+    if not isinstance(found, list):
+        raise TableError(f"{path}: its {name} are no list.")
+    return found
+
+
+def _pairs(where: str, values: Any) -> np.ndarray:
+    try:
+        found = np.array([[float(one) for one in pair[:2]] for pair in values], np.float64)
+    except (TypeError, ValueError):
+        found = np.zeros((0, 2))
+    if found.ndim != 2 or found.shape[1:] != (2,) or not len(found) or not np.isfinite(found).all():
+        raise TableError(f"{where}: its coordinates are no pairs of numbers, column and row in pixels.")
+    return found
+
+
+def _numbers(where: str, values: Any, count: int | None, form: str) -> list[float]:
+    try:
+        found = [float(one) for one in values]
+    except (TypeError, ValueError):
+        found = []
+    if not found or (count is not None and len(found) != count) or not all(map(math.isfinite, found)):
+        raise TableError(f"{where}: expected {form}.")
+    return found

@@ -1,0 +1,228 @@
+"""Detections: each form by its published layout, names of images, anchors, outlines, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import jax
+import numpy as np
+import pytest
+from support.command_files import DJI
+from support.drone_image_files import FULL, packet, write_image
+
+import jaxgeo
+from jaxgeo.io import locate_observations, read_observations
+from jaxgeo.io.detected import observations_of_detections, outline_observations, outlines_on_ground
+from jaxgeo.io.detections import Detection, read_detections
+from jaxgeo.io.errors import TableError
+from jaxgeo.status import Status
+
+BOX = np.array([[10.0, 20.0], [40.0, 20.0], [40.0, 80.0], [10.0, 80.0]])  # centres of pixels at integers
+TRIANGLE = np.array([[10.0, 20.0], [60.0, 25.0], [30.0, 70.0]])
+
+
+def coco(shape: dict) -> dict:
+    """By the layout of cocodataset.org: coordinates from the upper left corner of the image, in pixels."""
+    return {
+        "images": [{"id": 7, "file_name": "a.jpg", "width": 4000, "height": 3000}],
+        "annotations": [{"id": 1, "image_id": 7, "category_id": 3, "score": 0.5, **shape}],
+        "categories": [{"id": 3, "name": "car"}],
+    }
+
+
+def feature(geometry: dict, **own: object) -> dict:
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            {"type": "Feature", "geometry": geometry, "properties": {"image": "a.jpg", "label": "car", **own}}
+        ],
+    }
+
+
+def closed(corners: np.ndarray) -> list[list[float]]:
+    return [*corners.tolist(), corners[0].tolist()]
+
+
+FORMS = {
+    "point.csv": ("image,u,v,label\na.jpg,10,20,car\n", "point", BOX[:1]),
+    "point.geojson": (feature({"type": "Point", "coordinates": [10, 20]}), "point", BOX[:1]),
+    "box.csv": ("image;label;u_min;v_min;u_max;v_max\na.jpg;car;10;20;40;80\n", "box", BOX),
+    "polygon.geojson": (feature({"type": "Polygon", "coordinates": [closed(TRIANGLE)]}), "polygon", TRIANGLE),
+    "box.json": (coco({"bbox": [10.5, 20.5, 30, 60], "segmentation": []}), "box", BOX),
+    "polygon.json": (coco({"segmentation": [(TRIANGLE + 0.5).ravel().tolist()]}), "polygon", TRIANGLE),
+}
+
+
+def write(folder: pathlib.Path, name: str, content: object) -> pathlib.Path:
+    path = folder / name
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_form_is_read(name: str, tmp_path: pathlib.Path) -> None:
+    content, kind, vertices = FORMS[name]
+    (found,) = read_detections(write(tmp_path, name, content))
+    assert (found.image, found.kind, found.attributes["label"]) == ("a.jpg", kind, "car")
+    np.testing.assert_allclose(found.of_size(4000, 3000), vertices, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["point.csv", "box.csv", "point.geojson", "polygon.geojson"])
+def test_the_origin_may_be_the_corner(name: str, tmp_path: pathlib.Path) -> None:
+    content, _, vertices = FORMS[name]
+    (found,) = read_detections(write(tmp_path, name, content), pixel_origin="corner")
+    np.testing.assert_allclose(found.vertices, vertices - 0.5, atol=1e-12)
+
+
+def test_yolo_is_in_shares_of_the_image(tmp_path: pathlib.Path) -> None:
+    """By the layout of the Ultralytics documentation: class, then centre, width and height over those of the image."""
+    (left, top), (right, bottom) = (BOX[0] + 0.5) / [4000, 3000], (BOX[2] + 0.5) / [4000, 3000]
+    box = f"1 {(left + right) / 2} {(top + bottom) / 2} {right - left} {bottom - top} 0.75"
+    polygon = " ".join(["0", *(f"{x}" for x in ((TRIANGLE + 0.5) / [4000, 3000]).ravel())])
+    write(tmp_path, "a.txt", f"{box}\n{polygon}\n")
+    write(tmp_path, "classes.txt", "tree\ncar\n")
+    of_box, of_polygon = read_detections(tmp_path)
+    assert (of_box.image, of_box.attributes) == ("a", {"label": "car", "score": 0.75})
+    assert (of_polygon.kind, of_polygon.attributes) == ("polygon", {"label": "tree", "score": None})
+    np.testing.assert_allclose(of_box.of_size(4000, 3000), BOX, atol=1e-9)
+    np.testing.assert_allclose(of_polygon.of_size(4000, 3000), TRIANGLE, atol=1e-9)
+
+
+def test_anchors(tmp_path: pathlib.Path) -> None:
+    box, triangle = Detection("a", "box", BOX, {}), Detection("a", "polygon", TRIANGLE, {})
+    np.testing.assert_allclose(box.pixel_of(BOX, "centre"), [25.0, 50.0])
+    np.testing.assert_allclose(box.pixel_of(BOX, "bottom"), [25.0, 80.0])
+    np.testing.assert_allclose(triangle.pixel_of(TRIANGLE, "centre"), TRIANGLE.mean(axis=0))
+    np.testing.assert_allclose(triangle.pixel_of(TRIANGLE, "bottom"), [35.0, 70.0])
+    point = Detection("a", "point", BOX[:1], {})
+    for anchor in ("centre", "bottom"):
+        np.testing.assert_allclose(point.pixel_of(BOX[:1], anchor), BOX[0])
+
+
+MISTAKES = {
+    "a.csv": [
+        ("image,label\na.jpg,car\n", "no columns u, v, nor u_min"),
+        ("image,u,v\n", "no rows"),
+        ("image,u,v\n,1,2\n", "row 2, column image: empty"),
+        ("image,u,v\na.jpg,x,2\n", "row 2, column u: 'x' is not a number"),
+        ("image,u_min,v_min,u_max,v_max\na.jpg,5,5,1,9\n", "row 2, column u_max: the box has no area"),
+    ],
+    "a.json": [
+        ([], "a list of COCO results names images by number only"),
+        ({"images": []}, "neither GeoJSON"),
+        (coco({"bbox": [1, 2, 3]}), "annotation 1: expected bbox"),
+        (coco({"bbox": [1, 2, 0, 3]}), "annotation 1: the box has no area"),
+        (coco({"bbox": [1, 2, 3, 4], "image_id": 8}), "annotation 1: its image_id"),
+        (coco({"bbox": [1, 2, None, 4]}), "annotation 1: expected bbox"),
+        ({"images": [], "annotations": []}, "there are no detections"),
+    ],
+    "a.geojson": [
+        (feature({"type": "LineString", "coordinates": [[0, 1], [2, 3]]}), "feature 1: its geometry is 'LineString'"),
+        (feature({"type": "Point", "coordinates": ["x", 1]}), "feature 1: its coordinates are no pairs"),
+        (feature({"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [2, 0], [0, 0]]]}), "the polygon has no area"),
+        (feature({"type": "Point", "coordinates": [0, 1]}, image=" "), "feature 1: no property image"),
+        ({"type": "FeatureCollection", "features": 3}, "its features are no list"),
+    ],
+    "a.txt": [("0 0.5 0.5 0.1 0.1\n", "give the folder")],
+    "yolo/a.txt": [
+        ("0 0.5 0.5 0.1\n", "a.txt, line 1: 4 numbers"),
+        ("\n0 500 500 10 10\n", "a.txt, line 2: coordinates are shares"),
+        ("0 0.5 0.5 0.1 x\n", "a.txt, line 1: expected class x y width height"),
+        ("", "there are no detections"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    "name, content, words", [(name, *each) for name, some in MISTAKES.items() for each in some]
+)  # fmt: skip
+def test_mistakes(name: str, content: object, words: str, tmp_path: pathlib.Path) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    write(path.parent, path.name, content)
+    with pytest.raises(TableError) as caught:
+        read_detections(path.parent if name.startswith("yolo") else path)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_other_mistakes(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(ValueError, match="pixel_origin must be"):
+        read_detections(tmp_path, pixel_origin="middle")
+    with pytest.raises(TableError, match=r"no file NAME\.txt"):
+        read_detections(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        read_detections(tmp_path / "none.csv")
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory):
+    """Three images, two of one lens; one lies in another folder, and one is cut."""
+    folder = tmp_path_factory.mktemp("images")
+    for name, more in {"a.jpg": {}, "b.jpg": {"CalibratedFocalLength": "3500"}, "c.jpg": {}}.items():
+        tags = DJI | {f"drone-dji:{key}": text for key, text in more.items()}
+        write_image(folder / name, packet(tags), make="DJI", size=FULL)
+    (folder / "c.jpg").write_bytes((folder / "a.jpg").read_bytes()[:900])
+    return read_observations(folder, height_datum="ellipsoid")
+
+
+def test_each_detection_is_a_pixel_of_its_image(observed) -> None:
+    given = [
+        Detection("b.jpg", "point", np.array([[100.0, 200.0]]), {"label": "car"}),
+        Detection("images/a.JPG.jpg", "point", np.array([[1.0, 2.0]]), {}),
+        Detection("run\\a.jpg", "box", BOX, {"score": 0.5}),
+        Detection("c", "point", np.array([[1.0, 2.0]]), {}),
+        Detection("a", "polygon", TRIANGLE, {"label": "hut"}),
+    ]
+    found, vertices = observations_of_detections(observed, given, anchor="bottom")
+    assert [row["name"] for row in found.columns] == ["b.jpg", "images/a.JPG.jpg", "a.jpg", "c", "a.jpg"]
+    assert [row["label"] for row in found.columns] == ["car", None, None, None, "hut"]
+    assert [row["score"] for row in found.columns] == [None, None, 0.5, None, None]
+    assert list(found.unread) == [1, 3]
+    assert "no exposure has this name" in found.unread[1].reason
+    assert "c.jpg" in found.unread[3].reason  # the reason why the image was not read
+    assert [len(one) for one in vertices] == [1, 0, 4, 0, 3]
+    fixes = locate_observations(found, jaxgeo.ConstantHeight(300.0))
+    for row, (name, uv) in {0: ("b.jpg", (100, 200)), 2: ("a.jpg", (25, 80)), 4: ("a.jpg", (35, 70))}.items():
+        number = [column["name"] for column in observed.columns].index(name)
+        look = observed.at(number)[0].exposure
+        sensor, shot = jax.tree.map(jax.numpy.asarray, (look.sensor, look.motion))
+        alone = jaxgeo.locate(sensor, shot, uv, jaxgeo.ConstantHeight(300.0))
+        np.testing.assert_allclose(fixes.ecef[row], alone.ecef, atol=1e-6)
+    assert [int(fixes.status[row]) for row in (1, 3)] == [Status.file_not_read.code] * 2
+
+
+def test_outlines_are_what_their_edges_see(observed) -> None:
+    given = [
+        Detection("a.jpg", "point", np.array([[100.0, 200.0]]), {}),
+        Detection("b.jpg", "box", BOX, {}),
+        Detection("a.jpg", "polygon", np.array([[10.0, 20.0], [60.0, -90_000.0], [30.0, 70.0]]), {}),
+        Detection("a.jpg", "polygon", TRIANGLE, {}),
+    ]
+    found, vertices = observations_of_detections(observed, given)
+    ground = jaxgeo.ConstantHeight(300.0)
+    outlines, rows = outline_observations(found, vertices)
+    shapes = outlines_on_ground(locate_observations(outlines, ground), rows)
+    assert shapes.statuses[0] is None
+    assert shapes.statuses[1] == shapes.statuses[3] == "hit"
+    assert shapes.statuses[2] not in (None, "hit")  # a corner above the horizon
+    assert shapes.rings[0] is None
+    assert shapes.rings[2] is None
+    for row, corners, name in ((1, BOX, "b.jpg"), (3, TRIANGLE, "a.jpg")):
+        number = [column["name"] for column in observed.columns].index(name)
+        look = observed.at(number)[0].exposure
+        sensor, shot = jax.tree.map(jax.numpy.asarray, (look.sensor, look.motion))
+        ring = shapes.rings[row]
+        assert len(ring) >= 32
+        for corner in corners:
+            lat, lon, _ = jaxgeo.locate(sensor, shot, corner, ground).position.to_degrees()
+            apart = np.hypot((ring[:, 0] - float(lon)) * 90_000.0, (ring[:, 1] - float(lat)) * 111_000.0)
+            assert apart.min() < 1e-3
+
+
+def test_without_any_known_image_nothing_is_invented(observed) -> None:
+    with pytest.raises(TableError, match=r"x\.jpg: no detection is in an image that was read"):
+        observations_of_detections(observed, [Detection("x.jpg", "point", BOX[:1], {})])
+    with pytest.raises(ValueError, match="anchor must be"):
+        observations_of_detections(observed, [Detection("a.jpg", "point", BOX[:1], {})], anchor="top")
