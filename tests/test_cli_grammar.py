@@ -72,10 +72,31 @@ def folder(tmp_path: pathlib.Path, monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_flags_that_all_have(name: str) -> None:
     options = options_of(tuple(name.split()))
-    assert {"--json", "--debug"} <= set(options)
+    assert {"--json", "--debug", "--quiet"} <= set(options)
     assert "--traceback" not in options
     if "--output" in options:
         assert "-o" in options["--output"].opts
+
+
+QUIET = [
+    "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --no-accuracy",
+    "scene DJI_0042.JPG --height-datum ellipsoid -o out.toml",
+    "point --scene scene.toml --line-of-sight 250,18.5",
+]
+
+
+@pytest.mark.parametrize("line", QUIET)
+def test_quiet_leaves_nothing_on_stderr_but_errors(line: str, folder) -> None:
+    folder(line)
+    aloud, quiet = run(line), run(f"{line} --quiet")
+    assert aloud.exit_code == quiet.exit_code == 0
+    assert aloud.stderr
+    assert quiet.stderr == ""
+    assert quiet.stdout == aloud.stdout
+    refused = run(f"{line} -q --debug --no-such")
+    assert refused.exit_code == 2
+    assert "--no-such: no such option" in refused.stderr
+    assert run(line).stderr == aloud.stderr  # not kept from one command to the next
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -220,7 +241,8 @@ def test_no_flag_is_without_a_line() -> None:
         given = {param for param in context.params if _is_given(context, param)}
         used.setdefault(name, set()).update(given)
     for name, command in COMMANDS.items():
-        missing = {param.name for param in command.params if param.name != "help"} - used[name]
+        everywhere = {"help", "quiet"}  # of all commands, for which there is one test
+        missing = {param.name for param in command.params if param.name not in everywhere} - used[name]
         assert not missing, f"{' '.join(name)}: no command line in the tests has {', '.join(sorted(missing))}"
 
 

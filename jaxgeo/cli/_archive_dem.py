@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._option_names import translate_dem_errors
 from jaxgeo.cli._options import DemOptions
-from jaxgeo.cli._screen import print_message, working
+from jaxgeo.cli._screen import print_note, working
 
 if TYPE_CHECKING:
     from jaxgeo.io.archives import FetchedDem, View
@@ -67,6 +67,6 @@ def fetch(name: str, options: DemOptions, look: Look | None) -> FetchedDem:
             offline=options.offline,
         )
     for message in found.messages():
-        print_message(f"elevation model: {message}")
+        print_note(f"elevation model: {message}")
     _fetched.append(found)
     return found

@@ -12,7 +12,7 @@ import typer
 
 from jaxgeo.cli._common import UserError, check_writable
 from jaxgeo.cli._options import OptionGroup
-from jaxgeo.cli._screen import print_message, stderr
+from jaxgeo.cli._screen import is_quiet, print_message, print_note, stderr
 
 MOST_TOLD = 5  # failed parts that are printed
 FILES = (".tif", ".tiff", ".vrt", ".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz", ".json")  # no folders
@@ -56,13 +56,13 @@ class ClusterOptions(OptionGroup):
             with _told(self.cluster):
                 client = stack.enter_context(connect(self.cluster))
             if client.dashboard_link:
-                print_message(f"dashboard: {client.dashboard_link}")
+                print_note(f"dashboard: {client.dashboard_link}")
             yield client
 
     @property
     def shows_progress(self) -> bool:
-        """Whether stderr is a terminal."""
-        return stderr().is_terminal
+        """Whether stderr is a terminal, and --quiet is not given."""
+        return stderr().is_terminal and not is_quiet()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ def _told(cluster: str) -> Iterator[None]:
 def print_missing(run: Any) -> None:
     """Print how many parts of a run were missing, if others were there."""
     if run.computed < len(run.parts):
-        print_message(f"{run.computed} of {len(run.parts)} parts were missing; the others were there.")
+        print_note(f"{run.computed} of {len(run.parts)} parts were missing; the others were there.")
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import single
 from jaxgeo.cli._option_names import as_typed, reason_not_read, typed
 from jaxgeo.cli._options import OptionGroup
-from jaxgeo.cli._screen import print_message
+from jaxgeo.cli._screen import print_note
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Shot
 
@@ -136,7 +136,7 @@ class ExposureOptions(OptionGroup):
             )
         for one in map(as_typed, observed.assumed):
             if not any(word in one for word in OF_ERRORS):
-                print_message(f"assumed: {one}")
+                print_note(f"assumed: {one}")
         print_unread(observed.unread.values())
         return GivenExposures(_in_order(observed), True, _reasons(observed))
 

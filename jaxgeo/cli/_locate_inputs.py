@@ -20,7 +20,7 @@ from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
-from jaxgeo.cli._screen import print_message
+from jaxgeo.cli._screen import print_message, print_note
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
@@ -90,7 +90,7 @@ def read_inputs(
         check_no_input("--output", [output], options.input_files)
     inputs = inputs_of(options, with_errors, check, on_disk=on_disk, whole=whole)
     for one in inputs.assumed:
-        print_message(f"assumed: {one}")
+        print_note(f"assumed: {one}")
     _print_pixels_outside(options.pixels, inputs.observed)
     print_unread(inputs.observed.unread.values())
     return inputs

@@ -14,6 +14,7 @@ import typer
 from typer.models import OptionInfo
 
 import jaxgeo
+from jaxgeo.cli._screen import set_quiet
 
 if TYPE_CHECKING:
     import jaxgeo.io.reach
@@ -34,8 +35,13 @@ class OptionGroup:
     first: ClassVar[tuple[str, ...]] = ()
 
 
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print errors only on stderr: no assumptions, progress and counts.")
+]
+
+
 def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with each parameter that is an `OptionGroup` replaced by a parameter per field.
+    """The command with each parameter that is an `OptionGroup` replaced by a parameter per field, and with --quiet.
 
     Typer reads options from the signature of a function and knows no groups. The parameters are named GROUP_FIELD, so
     that fields of two groups may share a name; a group is passed to the command as a record.
@@ -51,8 +57,10 @@ def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
                 yield from _parameters_of(name, groups[name])
             else:
                 yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name])
+        yield inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Quiet)
 
     def run(**given: Any) -> None:
+        set_quiet(given.pop("quiet"))
         for name, kind in groups.items():
             fields = {field.name: given.pop(f"{name}_{field.name}") for field in dataclasses.fields(kind)}
             given[name] = kind(**fields)

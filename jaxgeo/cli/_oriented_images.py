@@ -12,7 +12,7 @@ from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
 from jaxgeo.cli._option_names import as_typed
-from jaxgeo.cli._screen import print_message
+from jaxgeo.cli._screen import print_note
 from jaxgeo.observation import Exposure
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class OrientedImages:
             raise UserError(re.sub(r"--scene SCENE\.toml(, or )?", "", f"{error}")) from error
         for one in map(as_typed, observed.assumed):
             if "error" not in one and "sigma" not in one:  # which orthoimages do not have
-                print_message(f"assumed: {one}")
+                print_note(f"assumed: {one}")
         print_unread(observed.unread.values())
         return observed, self._files_of(observed)
 

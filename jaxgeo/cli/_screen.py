@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
@@ -14,12 +15,29 @@ from rich.table import Table
 from jaxgeo.cli._console import Console
 
 Item = TypeVar("Item")
+_quiet: contextvars.ContextVar[bool] = contextvars.ContextVar("quiet", default=False)
 
 
 def print_message(message: str) -> None:
     """Print a message on stderr, each line prefixed with `jaxgeo:`."""
     text = "\n".join(f"jaxgeo: {line}" for line in message.splitlines())
     stderr().print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def print_note(message: str) -> None:
+    """`print_message` of what is not an error; nothing with --quiet."""
+    if not _quiet.get():
+        print_message(message)
+
+
+def set_quiet(is_quiet: bool) -> None:
+    """Whether notes, progress and counts are left out, from here on."""
+    _quiet.set(is_quiet)
+
+
+def is_quiet() -> bool:
+    """Whether notes, progress and counts are left out."""
+    return _quiet.get()
 
 
 def stderr() -> Console:
@@ -31,7 +49,7 @@ def stderr() -> Console:
 def working(words: str) -> Iterator[None]:
     """Show a spinner on stderr, if that is a terminal, during the `with` block."""
     console = stderr()
-    if console.is_terminal:
+    if console.is_terminal and not is_quiet():
         with console.status(f"{words} ..."):
             yield
     else:
@@ -45,7 +63,7 @@ def bars_on_stderr() -> Iterator[bool]:
     Yields whether to show progress: whether stderr is a terminal.
     """
     with contextlib.redirect_stdout(sys.stderr):
-        yield stderr().is_terminal
+        yield stderr().is_terminal and not is_quiet()
 
 
 def track(items: Sequence[Item], words: str) -> Iterator[Item]:
@@ -61,13 +79,15 @@ def progress_bar() -> Progress:
     """A transient progress bar on stderr, disabled if that is no terminal."""
     console = stderr()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or is_quiet())
 
 
 def print_counts(counts: dict[str, int], total: int, noun: str = "pixel", hit: str | None = None) -> None:
     """Print the number of pixels (or `noun`) per status on stderr; `hit` replaces the sentence of that status."""
     from jaxgeo.status import Status
 
+    if is_quiet():
+        return
     console = stderr()
     console.print(f"{total} {noun}{'s' if total != 1 else ''}:", highlight=False)
     for name, count in sorted(counts.items(), key=lambda item: Status[item[0]]):

@@ -20,7 +20,7 @@ from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._option_names import translate_dem_errors
 from jaxgeo.cli._options import DemOptions, OptionGroup
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_message, working
+from jaxgeo.cli._screen import print_message, print_note, working
 
 if TYPE_CHECKING:
     from jaxgeo.io.archives import View
@@ -196,7 +196,7 @@ def _fetch(
             rows, cols = write_dem(output, found)
         said = f"{output}: {rows} x {cols} posts, {said.rpartition(', heights')[0]}, heights above the WGS 84 ellipsoid"
         told = {"output": f"{output}", "shape": [rows, cols]}
-    print_message(said)
+    print_note(said)
     return told
 
 

@@ -16,7 +16,7 @@ from jaxgeo.cli._exposure_tables import as_rows, pose_columns
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of, view_of_shots
 from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, SceneFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import print_counts, stderr, working
+from jaxgeo.cli._screen import is_quiet, print_counts, stderr, working
 from jaxgeo.cli.overlap import BOTH
 
 ALONG = 100  # times along a flight for whose images the ground is fetched
@@ -188,6 +188,8 @@ def _summarise(found: Any, output: pathlib.Path) -> None:
 
     from jaxgeo.status import Status
 
+    if is_quiet():
+        return
     times = np.asarray(found.times)
     intervals = np.diff(times)
     console = stderr()

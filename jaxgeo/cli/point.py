@@ -14,7 +14,7 @@ from jaxgeo.cli._exposures import ExposureOptions
 from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, numbers_in, read_terrain
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import stderr, working
+from jaxgeo.cli._screen import is_quiet, stderr, working
 from jaxgeo.sensor import Shot
 
 UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
@@ -152,7 +152,8 @@ def _target(stated: Any, place: list[float], terrain: Any) -> Any:
         if not math.isfinite(height):
             raise UserError(f"--target {lat:g},{lon:g}: the DEM has no height there; give a height, or another DEM.")
     said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid"
-    stderr().print(said, highlight=False, soft_wrap=True)
+    if not is_quiet():
+        stderr().print(said, highlight=False, soft_wrap=True)
     return Geodetic.from_degrees(lat=lat, lon=lon, height=height)
 
 
@@ -196,7 +197,8 @@ def _print_readings(names: tuple[str, ...], found: Any, unhidden: str | None, as
         if np.isfinite(reading) and not as_json:
             console.print(f"{name}_deg = {reading:.6f}", highlight=False, markup=False)
     meaning = status_words(status, unhidden)["status_text"]
-    stderr().print(f"{status.name}: {meaning}", highlight=False, soft_wrap=True)
+    if status != Status.hit or not is_quiet():
+        stderr().print(f"{status.name}: {meaning}", highlight=False, soft_wrap=True)
     if status == Status.outside_gimbal_range:
         off = f"pointing error {np.rad2deg(float(found.miss)):.4f} deg"
         stderr().print(off, highlight=False, soft_wrap=True)

@@ -22,7 +22,7 @@ from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
-from jaxgeo.cli._screen import print_message, working
+from jaxgeo.cli._screen import print_note, working
 from jaxgeo.cli.scene import write_scene_of
 
 
@@ -83,7 +83,7 @@ def register_command(
             work, errors, pixels = _read(files, dem, reading, sigmas, pixel or [], (band, reference_band))
             output.mkdir(parents=True, exist_ok=True)
             for one in errors.assumed:
-                print_message(f"assumed: {one}")
+                print_note(f"assumed: {one}")
             with working("compiling and registering"):
                 found = _register(work, errors, block, probability)
             found_by = time.perf_counter() - began

@@ -14,7 +14,7 @@ from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._option_names import as_typed
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_message
+from jaxgeo.cli._screen import print_note
 from jaxgeo.sensor import Shot
 
 
@@ -79,5 +79,5 @@ def write_scene_of(
         output, look.sensor, look.motion, sources=sources, atmosphere=look.atmosphere, comment=comment
     )
     for one in (*assumed, *left_out):
-        print_message(f"assumed: {one}" if one in assumed else one)
+        print_note(f"assumed: {one}" if one in assumed else one)
     return names[0], [*assumed, *left_out]

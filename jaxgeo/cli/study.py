@@ -37,6 +37,7 @@ Folder = Annotated[
 
 
 @studies.command("li2020", epilog=examples_of("li2020"))
+@expand_groups
 def li2020_command(
     output: Folder = None,
     seed: Annotated[int, typer.Option(help="Random seed of the gimbal control errors and the fractal terrain.")] = 0,
@@ -102,6 +103,7 @@ def li2023_command(
 
 
 @studies.command("xue2019", epilog=examples_of("xue2019"))
+@expand_groups
 def xue2019_command(
     output: Folder = None,
     size: Annotated[
@@ -193,6 +195,7 @@ def gu2017_command(
 
 
 @studies.command("all", epilog=examples_of("all"))
+@expand_groups
 def all_command(
     output: Folder = None,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 0,

@@ -21,7 +21,7 @@ from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction, Scene
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_message, working
+from jaxgeo.cli._screen import print_note, working
 
 if TYPE_CHECKING:
     from jaxgeo.io import SurveyedPixels
@@ -180,7 +180,7 @@ def _run(
     assumed = list(inputs.assumed)
     survey, pixel = _sigmas(of_points, surveyed, inputs.observed, assumed)
     for one in assumed[len(inputs.assumed) :]:
-        print_message(f"assumed: {one}")
+        print_note(f"assumed: {one}")
     points, errors, rows = check_points_of(inputs.observed, surveyed, sigma_enu=survey, sigma_px=pixel)
     ground = _ground(inputs, rows)
     with working("comparing"):
