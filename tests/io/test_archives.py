@@ -24,12 +24,14 @@ import rasterio
 from support.tile_server import Served, heights_at, plane_at, serving, write_archive, write_geoid, write_tile
 
 import jaxgeo
+from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_ned
-from jaxgeo.io.archives import ARCHIVES, ArchiveError, DemCache, FetchedDem, fetch_dem, write_dem
+from jaxgeo.io.archives import ARCHIVES, ArchiveError, DemCache, FetchedDem, fetch_dem, view_of, write_dem
 from jaxgeo.io.archives import sight as sight_module
 from jaxgeo.io.archives.catalogue import archive_of
 from jaxgeo.io.archives.sight import Extent, follow
 from jaxgeo.io.archives.web import Web
+from jaxgeo.uncertainty import ErrorModel
 
 CELL = (36, -85)
 HERE = (-84.30, 36.30, -84.28, 36.32)  # within one block of the tile
@@ -541,6 +543,23 @@ def test_first_hits_are_those_of_the_whole_tile(
     mine, whole = (jaxgeo.intersect(ray, terrain) for terrain in (found.read(), by_hand(archive)))
     assert int(mine.status) == int(whole.status) == jaxgeo.Status.hit
     np.testing.assert_allclose(np.asarray(mine.ecef), np.asarray(whole.ecef), atol=1e-6, rtol=0.0)  # m
+
+
+@pytest.mark.costly
+def test_accuracy_over_hills_does_not_depend_on_how_far_the_model_extends(
+    server: Served, cache: DemCache, archive: pathlib.Path
+) -> None:
+    """CE90 at a low angle over ground that is no plane: of the parts that its lines of sight need, and of the tile."""
+    observed = jaxgeo.io.read_observations(scene=scene_file(), pixels=[(1200.0, 2400.0)])
+    observation, errors = observed.at(0)
+    found = fetched(server, cache, bounds=None, rays=view_of(observed))
+    mine, whole = (
+        jaxgeo.accuracy(observation, terrain, ErrorModel(errors), sampling=None)
+        for terrain in (found.read(), by_hand(archive))
+    )
+    assert abs(float(whole.circular) / float(whole.diagnostics.facet) - 1.0) > 1e-3  # not that of a plane
+    for name in ("circular", "linear", "spherical"):
+        assert abs(float(getattr(mine, name)) - float(getattr(whole, name))) < 1e-6  # m
 
 
 def test_across_the_date_line(tmp_path: pathlib.Path, cache: DemCache) -> None:
