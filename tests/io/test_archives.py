@@ -7,6 +7,7 @@ tile names of SRTM and 3DEP.
 from __future__ import annotations
 
 import concurrent.futures
+import gzip
 import os
 import pathlib
 import re
@@ -21,6 +22,8 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from rasterio.transform import Affine
+from support.rasters import write
 from support.tile_server import Served, heights_at, plane_at, serving, write_archive, write_geoid, write_tile
 
 import jaxgeo
@@ -340,6 +343,42 @@ def test_an_address_with_fields_is_an_archive(server: Served, cache: DemCache) -
 def test_a_folder_can_be_the_mirror(archive: pathlib.Path, cache: DemCache) -> None:
     found = fetch_dem(bounds=HERE, cache=cache, mirror=f"copernicus={archive} proj={archive}", offline=False)
     same_heights(found, by_hand(archive))
+
+
+def test_tiles_in_gzip_are_read_as_a_whole(tmp_path: pathlib.Path, cache: DemCache) -> None:
+    """SRTM's own format: 1201 x 1201 big-endian integers, rows from the north, posts on the edges of the degree."""
+    lat, lon = np.linspace(37.0, 36.0, 1201), np.linspace(-85.0, -84.0, 1201)
+    heights = np.rint(plane_at(*np.meshgrid(lon, lat)) - 900.0)  # whole metres
+    (tmp_path / "N36").mkdir()
+    (tmp_path / "N36" / "N36W085.hgt.gz").write_bytes(gzip.compress(heights.astype(">i2").tobytes()))
+    with serving(tmp_path) as server:
+        found = fetch_dem("skadi", bounds=HERE, cache=cache, mirror=server.url)
+    assert found.vertical_datum == "EPSG:5773"
+    row, col = 840, 852
+    place = jaxgeo.Geodetic.from_degrees(lat=float(lat[row]), lon=float(lon[col]), height=0.0)
+    expected = heights[row, col] + float(jaxgeo.io.undulation(lat[row], lon[col]))
+    assert abs(float(found.read().height_at(place)) - expected) < 1e-3
+
+
+def test_tiles_that_overlap_are_one_terrain(tmp_path: pathlib.Path, cache: DemCache) -> None:
+    """As 3DEP: NAD83, cells whose corners are on whole degrees, six more on each side."""
+    posts, more = 180, 6
+    for west in (-85, -84):
+        place = tmp_path / ARCHIVES["3dep"].path_of((36, west))
+        place.parent.mkdir(parents=True)
+        affine = Affine(1 / posts, 0.0, west - more / posts, 0.0, -1 / posts, 37.0 + more / posts)
+        number = np.arange(posts + 2 * more) + 0.5
+        values = plane_at(*np.meshgrid(affine.c + affine.a * number, affine.f + affine.e * number)).astype(np.float32)
+        write(place, values, crs="EPSG:4269", affine=affine, tiled=True, blockxsize=128, blockysize=128)
+    with serving(tmp_path) as server:
+        found = fetch_dem(
+            "3dep", bounds=(-84.05, 36.4, -83.95, 36.5), cache=cache, mirror=server.url, vertical_datum=-30
+        )
+    assert len(found.tiles) == 2
+    terrain = found.read()
+    for lon in (-84.02, -84.001, -83.999, -83.97):
+        place = jaxgeo.Geodetic.from_degrees(lat=36.4567, lon=lon, height=0.0)
+        assert abs(float(terrain.height_at(place)) + 30.0 - plane_at(np.array(lon), np.array(36.4567))) < 1e-3
 
 
 # The cache
