@@ -158,7 +158,7 @@ def test_a_server_that_fails_is_given_up_in_a_line(server: Served, cache: DemCac
         fetched(server, cache)
     message = str(told.value)
     assert "\n" not in message
-    assert {"403": "answers 403", "503": "answers 503"}.get(how, "reading it failed") in message
+    assert {"403": "answers 403", "503": "answers 503"}.get(how, "it was not read whole") in message
     assert "name a proxy= or a mirror=" in message
     assert f"put it at {cache.given('copernicus', NAME)}" in message
     server.faults.clear()
@@ -243,6 +243,10 @@ def test_land_that_is_not_released_is_not_sea(tmp_path: pathlib.Path, cache: Dem
 def test_outside_an_archive_another_is_named(server: Served, cache: DemCache) -> None:
     with pytest.raises(ArchiveError, match=r"no tile USGS_13_n37w085\.tif: it covers the conterminous"):
         fetch_dem("3dep", bounds=HERE, cache=cache, mirror=server.url)
+    with pytest.raises(
+        ArchiveError, match=r"nobody can tell whether that is sea.* or name a mirror of copernicus-90 too"
+    ):
+        fetch_dem("srtm", bounds=HERE, cache=cache, mirror=server.url)
     with pytest.raises(ArchiveError, match="it covers land between 56 S and 60 N"):
         fetch_dem("srtm", bounds=(5.0, 70.0, 5.01, 70.01), cache=cache, mirror=server.url)
 
@@ -638,6 +642,16 @@ def test_a_window_of_the_geoid_is_that_of_the_whole_grid(
     whole = jaxgeo.io.undulation(lat, lon, archive / "us_nga_egm08_25.tif")
     np.testing.assert_allclose(jaxgeo.io.undulation(lat, lon, found.vertical_datum), whole, atol=1e-9)
     assert found.vertical_datum.stat().st_size < 0.05 * (archive / "us_nga_egm08_25.tif").stat().st_size
+
+
+def test_outside_a_geoid_grid_another_datum_is_asked_for(
+    server: Served, cache: DemCache, tmp_path: pathlib.Path
+) -> None:
+    """NAVD88's grid of the conterminous United States, and a tile of Alaska."""
+    write_tile(tmp_path, ARCHIVES["3dep"], (64, -150), posts=60, block=64)
+    write(tmp_path / "us_noaa_g2018u0.tif", np.zeros((40, 60), np.float32), affine=Affine(1, 0, -130, 0, -1, 58))
+    with serving(tmp_path) as near, pytest.raises(ArchiveError, match=r"the grid does not reach there\. .*another"):
+        fetch_dem("3dep", bounds=(-149.6, 64.4, -149.5, 64.5), cache=cache, mirror=f"3dep={near.url} proj={near.url}")
 
 
 @pytest.mark.parametrize("fault", ["wrong checksum", "cut", "absent", "no list"])
