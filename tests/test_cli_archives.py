@@ -254,7 +254,7 @@ def test_offline_the_missing_tile_goes_where_it_is_said(home: pathlib.Path, arch
     refused = run(f"dem {AREA} --offline")
     message = " ".join(refused.stderr.split())
     assert "offline, and heights above EPSG:3855 need the geoid grid us_nga_egm08_25.tif" in message
-    assert "or give another --vertical-datum" in message
+    assert "give another --vertical-datum, or put the file into" in message
     assert run(f"dem {AREA} --offline --vertical-datum EPSG:5773").exit_code == 0
 
 

@@ -266,6 +266,9 @@ class Dem(AbstractTerrain):
     def spacing(self) -> Scalar:
         return jnp.sqrt(jnp.prod(self.grid.cell_size()))
 
+    def spacing_at(self, p_ecef: Vector3) -> Scalar:
+        return jnp.sqrt(jnp.prod(self.grid.cell_size_at(self.over(p_ecef)[0])))
+
     def normal_at(self, position: Geodetic) -> Vector3:
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as `height_at`."""
         position = as_float64(position, "position")

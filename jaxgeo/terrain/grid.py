@@ -62,7 +62,11 @@ class AbstractGrid(Record):
 
     def cell_size(self) -> Float[Array, "2"]:
         """Length in m of one step in row and one in col, on the ellipsoid at the grid's centre."""
-        return _cell_size(self)
+        return _cell_size(self, jnp.asarray(self.rowcol0, jnp.float64))
+
+    def cell_size_at(self, rowcol: Float[Array, "2"]) -> Float[Array, "2"]:
+        """`cell_size` at (row, col)."""
+        return _cell_size(self, rowcol)
 
     def coarser(self: GridT, factor: float | int) -> GridT:
         """The grid with cells `factor` posts long and wide: its post (0, 0) is at the centre of the first such square.
@@ -230,9 +234,8 @@ def _centred_in_plane(
 
 
 @quick_filter_jit
-def _cell_size(grid: AbstractGrid) -> Float[Array, "2"]:
-    centre = jnp.asarray(grid.rowcol0, jnp.float64)
-    steps = jax.jacfwd(lambda rowcol: surface_point(grid.normal(rowcol)))(centre)
+def _cell_size(grid: AbstractGrid, place: Float[Array, "2"]) -> Float[Array, "2"]:
+    steps = jax.jacfwd(lambda rowcol: surface_point(grid.normal(rowcol)))(place)
     return jnp.sqrt(jnp.sum(steps**2, axis=0))
 
 

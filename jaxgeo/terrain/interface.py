@@ -88,3 +88,8 @@ class AbstractTerrain(Record):
     def spacing(self) -> Scalar | None:
         """Length in m below which the ground is smooth, such as the post spacing of a grid; None if unknown."""
         return None
+
+    def spacing_at(self, p_ecef: Vector3) -> Scalar | None:
+        """`spacing` at a point (ECEF, m), which does not depend on how far the terrain extends."""
+        del p_ecef
+        return self.spacing()

@@ -146,7 +146,7 @@ def profile_of(
     aside = to_side @ sweep.line[:2]
     rise_aside = -(normal[:2] @ to_side) * aside
     lift_at_fix = to_lift(sweep.line) - sweep.ground - rise_aside
-    spacing = terrain.spacing()
+    spacing = terrain.spacing_at(nominal.p_ecef)
     if spacing is None:
         facet, level_ground = (_sigma(x, cov_error) for x in (along @ sweep.facet[:2], lift_at_fix))
         nearest = jnp.minimum(facet, level_ground / jnp.maximum(fall, FLATTEST))

@@ -7,6 +7,7 @@ tile names of SRTM and 3DEP.
 from __future__ import annotations
 
 import concurrent.futures
+import gzip
 import os
 import pathlib
 import re
@@ -21,15 +22,19 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from rasterio.transform import Affine
+from support.rasters import write
 from support.tile_server import Served, heights_at, plane_at, serving, write_archive, write_geoid, write_tile
 
 import jaxgeo
+from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_ned
-from jaxgeo.io.archives import ARCHIVES, ArchiveError, DemCache, FetchedDem, fetch_dem, write_dem
+from jaxgeo.io.archives import ARCHIVES, ArchiveError, DemCache, FetchedDem, fetch_dem, view_of, write_dem
 from jaxgeo.io.archives import sight as sight_module
 from jaxgeo.io.archives.catalogue import archive_of
 from jaxgeo.io.archives.sight import Extent, follow
 from jaxgeo.io.archives.web import Web
+from jaxgeo.uncertainty import ErrorModel
 
 CELL = (36, -85)
 HERE = (-84.30, 36.30, -84.28, 36.32)  # within one block of the tile
@@ -153,7 +158,7 @@ def test_a_server_that_fails_is_given_up_in_a_line(server: Served, cache: DemCac
         fetched(server, cache)
     message = str(told.value)
     assert "\n" not in message
-    assert {"403": "answers 403", "503": "answers 503"}.get(how, "reading it failed") in message
+    assert {"403": "answers 403", "503": "answers 503"}.get(how, "it was not read whole") in message
     assert "name a proxy= or a mirror=" in message
     assert f"put it at {cache.given('copernicus', NAME)}" in message
     server.faults.clear()
@@ -238,6 +243,10 @@ def test_land_that_is_not_released_is_not_sea(tmp_path: pathlib.Path, cache: Dem
 def test_outside_an_archive_another_is_named(server: Served, cache: DemCache) -> None:
     with pytest.raises(ArchiveError, match=r"no tile USGS_13_n37w085\.tif: it covers the conterminous"):
         fetch_dem("3dep", bounds=HERE, cache=cache, mirror=server.url)
+    with pytest.raises(
+        ArchiveError, match=r"nobody can tell whether that is sea.* or name a mirror of copernicus-90 too"
+    ):
+        fetch_dem("srtm", bounds=HERE, cache=cache, mirror=server.url)
     with pytest.raises(ArchiveError, match="it covers land between 56 S and 60 N"):
         fetch_dem("srtm", bounds=(5.0, 70.0, 5.01, 70.01), cache=cache, mirror=server.url)
 
@@ -338,6 +347,42 @@ def test_an_address_with_fields_is_an_archive(server: Served, cache: DemCache) -
 def test_a_folder_can_be_the_mirror(archive: pathlib.Path, cache: DemCache) -> None:
     found = fetch_dem(bounds=HERE, cache=cache, mirror=f"copernicus={archive} proj={archive}", offline=False)
     same_heights(found, by_hand(archive))
+
+
+def test_tiles_in_gzip_are_read_as_a_whole(tmp_path: pathlib.Path, cache: DemCache) -> None:
+    """SRTM's own format: 1201 x 1201 big-endian integers, rows from the north, posts on the edges of the degree."""
+    lat, lon = np.linspace(37.0, 36.0, 1201), np.linspace(-85.0, -84.0, 1201)
+    heights = np.rint(plane_at(*np.meshgrid(lon, lat)) - 900.0)  # whole metres
+    (tmp_path / "N36").mkdir()
+    (tmp_path / "N36" / "N36W085.hgt.gz").write_bytes(gzip.compress(heights.astype(">i2").tobytes()))
+    with serving(tmp_path) as server:
+        found = fetch_dem("skadi", bounds=HERE, cache=cache, mirror=server.url)
+    assert found.vertical_datum == "EPSG:5773"
+    row, col = 840, 852
+    place = jaxgeo.Geodetic.from_degrees(lat=float(lat[row]), lon=float(lon[col]), height=0.0)
+    expected = heights[row, col] + float(jaxgeo.io.undulation(lat[row], lon[col]))
+    assert abs(float(found.read().height_at(place)) - expected) < 1e-3
+
+
+def test_tiles_that_overlap_are_one_terrain(tmp_path: pathlib.Path, cache: DemCache) -> None:
+    """As 3DEP: NAD83, cells whose corners are on whole degrees, six more on each side."""
+    posts, more = 180, 6
+    for west in (-85, -84):
+        place = tmp_path / ARCHIVES["3dep"].path_of((36, west))
+        place.parent.mkdir(parents=True)
+        affine = Affine(1 / posts, 0.0, west - more / posts, 0.0, -1 / posts, 37.0 + more / posts)
+        number = np.arange(posts + 2 * more) + 0.5
+        values = plane_at(*np.meshgrid(affine.c + affine.a * number, affine.f + affine.e * number)).astype(np.float32)
+        write(place, values, crs="EPSG:4269", affine=affine, tiled=True, blockxsize=128, blockysize=128)
+    with serving(tmp_path) as server:
+        found = fetch_dem(
+            "3dep", bounds=(-84.05, 36.4, -83.95, 36.5), cache=cache, mirror=server.url, vertical_datum=-30
+        )
+    assert len(found.tiles) == 2
+    terrain = found.read()
+    for lon in (-84.02, -84.001, -83.999, -83.97):
+        place = jaxgeo.Geodetic.from_degrees(lat=36.4567, lon=lon, height=0.0)
+        assert abs(float(terrain.height_at(place)) + 30.0 - plane_at(np.array(lon), np.array(36.4567))) < 1e-3
 
 
 # The cache
@@ -543,6 +588,25 @@ def test_first_hits_are_those_of_the_whole_tile(
     np.testing.assert_allclose(np.asarray(mine.ecef), np.asarray(whole.ecef), atol=1e-6, rtol=0.0)  # m
 
 
+@pytest.mark.costly
+def test_accuracy_over_hills_does_not_depend_on_how_far_the_model_extends(
+    server: Served, cache: DemCache, archive: pathlib.Path
+) -> None:
+    """CE90 at a low angle over ground that is no plane: of what its line of sight needs, and of more of the tile, in
+    arrays of one size."""
+    observed = jaxgeo.io.read_observations(scene=scene_file(), pixels=[(1200.0, 2400.0)])
+    observation, errors = observed.at(0)
+    found = fetched(server, cache, bounds=None, rays=view_of(observed))
+    assert found.read().posts.shape == (256, 256)
+    mine, whole = (
+        jaxgeo.accuracy(observation, terrain, ErrorModel(errors), sampling=None)
+        for terrain in (found.read(), by_hand(archive, bounds=(-84.305, 36.16, -84.10, 36.36)))
+    )
+    assert abs(float(whole.circular) / float(whole.diagnostics.facet) - 1.0) > 1e-3  # not that of a plane
+    for name in ("circular", "linear", "spherical"):
+        assert abs(float(getattr(mine, name)) - float(getattr(whole, name))) < 1e-6  # m
+
+
 def test_across_the_date_line(tmp_path: pathlib.Path, cache: DemCache) -> None:
     write_archive(tmp_path, "copernicus", [(10, 179), (10, -180)], posts=240, block=128, heights=plane_at)
     with serving(tmp_path) as server:
@@ -578,6 +642,16 @@ def test_a_window_of_the_geoid_is_that_of_the_whole_grid(
     whole = jaxgeo.io.undulation(lat, lon, archive / "us_nga_egm08_25.tif")
     np.testing.assert_allclose(jaxgeo.io.undulation(lat, lon, found.vertical_datum), whole, atol=1e-9)
     assert found.vertical_datum.stat().st_size < 0.05 * (archive / "us_nga_egm08_25.tif").stat().st_size
+
+
+def test_outside_a_geoid_grid_another_datum_is_asked_for(
+    server: Served, cache: DemCache, tmp_path: pathlib.Path
+) -> None:
+    """NAVD88's grid of the conterminous United States, and a tile of Alaska."""
+    write_tile(tmp_path, ARCHIVES["3dep"], (64, -150), posts=60, block=64)
+    write(tmp_path / "us_noaa_g2018u0.tif", np.zeros((40, 60), np.float32), affine=Affine(1, 0, -130, 0, -1, 58))
+    with serving(tmp_path) as near, pytest.raises(ArchiveError, match=r"the grid does not reach there\. .*another"):
+        fetch_dem("3dep", bounds=(-149.6, 64.4, -149.5, 64.5), cache=cache, mirror=f"3dep={near.url} proj={near.url}")
 
 
 @pytest.mark.parametrize("fault", ["wrong checksum", "cut", "absent", "no list"])

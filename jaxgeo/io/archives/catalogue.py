@@ -145,6 +145,7 @@ ARCHIVES = {
             missing="sea",
             per_degree=3600,
             shared_edges=True,
+            twin="copernicus-90",
             latitudes=(-56, 60),
             where="land between 56 S and 60 N",
         ),

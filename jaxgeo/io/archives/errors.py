@@ -9,5 +9,9 @@ class ArchiveError(DemError):
     """An archive of elevation tiles that cannot be read; the message says what is missing and what to do."""
 
 
+class MissingGrid(ArchiveError):
+    """A geoid grid that is not on this machine, or does not reach where it is needed."""
+
+
 class Unreachable(ArchiveError):
     """A server that gives no usable answer."""

@@ -16,7 +16,7 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io.archives.catalogue import ARCHIVES, PROJ, STAC, Archive, Cell, archive_of, joined, mirrors_of, names_of
-from jaxgeo.io.archives.errors import ArchiveError, Unreachable
+from jaxgeo.io.archives.errors import ArchiveError, MissingGrid, Unreachable
 from jaxgeo.io.archives.geoid_window import OFFLINE, datum_for, grid_folder, is_offline
 from jaxgeo.io.archives.parts import (
     ENDING,
@@ -198,8 +198,8 @@ def fetch_dem(
     if found.datum is not None and f"{datum}".removeprefix("EPSG:") in ("None", found.datum.removeprefix("EPSG:")):
         datum = ground.told(
             lambda web: datum_for(str(found.datum), found.geoid, edges, kept, web, mirrors.get(PROJ)),
-            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, put the file into {grid_folder()}, or give "
-            f"another vertical_datum=...",
+            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, give another vertical_datum=..., or put the "
+            f"file into {grid_folder()}.",
         )
     parts = [ground.parts[key] for key in sorted(ground.parts)]
     return FetchedDem(
@@ -262,7 +262,7 @@ class _Ground:
             return ask(None if self.offline else self.web)
         except Unreachable as error:
             raise Unreachable(f"{error}. {self._ways()} {advice}") from error
-        except ArchiveError as error:
+        except MissingGrid as error:
             why = "offline, and " if self.offline else ""
             raise ArchiveError(f"{self.archive.name}: {why}{error}. {advice}") from error
 

@@ -24,7 +24,7 @@ from rasterio.windows import Window
 from jaxgeo._partial import partial_file
 from jaxgeo.io._proj import NoOperation, operation
 from jaxgeo.io.archives.catalogue import PROJ, joined, mirrors_of
-from jaxgeo.io.archives.errors import ArchiveError
+from jaxgeo.io.archives.errors import ArchiveError, MissingGrid
 from jaxgeo.io.archives.store import DemCache
 from jaxgeo.io.archives.web import Web
 from jaxgeo.io.errors import VerticalDatumError
@@ -74,7 +74,7 @@ def datum_for(
     if found is not None:
         return found
     if web is None:
-        raise ArchiveError(f"heights above {datum} need the geoid grid {grid}, which is not on this machine")
+        raise MissingGrid(f"heights above {datum} need the geoid grid {grid}, which is not on this machine")
     url = joined(base or get_proj_endpoint(), grid)
     content = web.retried(lambda: _window_of(url, web, (west, south, east, north)))
     digest, path = cache.put(content, ".tif")
@@ -156,7 +156,7 @@ def _window_of(url: str, web: Web, box: tuple[int, int, int, int]) -> bytes:
         top = max(math.floor((north - f) / e) - MORE, 0)
         bottom = min(math.ceil((south - f) / e) + MORE + 1, data.height)
         if first >= last or top >= bottom:
-            raise ArchiveError(f"{url}: the grid does not reach there")
+            raise MissingGrid(f"{url}: the grid does not reach there")
         window = Window(first, top, last - first, bottom - top)  # pyright: ignore[reportCallIssue]
         values = data.read(1, window=window)
         affine = Affine(a, 0.0, c + a * (first + shift), 0.0, e, f + e * top)

@@ -14,6 +14,7 @@ import pathlib
 import time
 from typing import Any
 
+from jaxgeo._destination import DEVICE_FAILURES
 from jaxgeo._partial import partial_file
 from jaxgeo.io.archives.errors import ArchiveError
 
@@ -144,9 +145,9 @@ class DemCache:
                 partial.write_bytes(content)
                 partial.replace(path)
         except OSError as error:
+            way = "free some space, or name" if error.errno in DEVICE_FAILURES else "name"
             raise ArchiveError(
-                f"{self.folder}: the cache cannot be written: {error.strerror}; free some space, or name another "
-                f"folder by {FOLDER}."
+                f"{self.folder}: the cache cannot be written: {error.strerror}; {way} another folder by {FOLDER}."
             ) from error
 
 

@@ -121,8 +121,12 @@ class Web:
             with options(**self._of_gdal()), DatasetReader(name, driver=DRIVERS) as data:
                 yield data
         except GDAL_ERRORS as error:
-            cause = error.__cause__ or error
-            raise Unreachable(f"{url}: reading it failed: {' '.join(f'{cause}'.split())}") from error
+            cause = " ".join(f"{error.__cause__ or error}".split()).rstrip(".")
+            if "CURL error" in cause or "HTTP response" in cause:
+                raise Unreachable(f"{url}: it cannot be reached: {cause.removeprefix('CURL error: ')}") from error
+            raise Unreachable(
+                f"{url}: it was not read whole; the connection was cut, or the file is damaged (GDAL: {cause})"
+            ) from error
 
     def retried(self, read: Callable[[], T]) -> T:
         """A result of GDAL, tried again if the connection fails. Raises `Unreachable`."""
@@ -172,7 +176,8 @@ class Web:
                 reason = f"no answer within {self.timeout:g} s"
             except urllib.error.URLError as error:
                 slow = isinstance(error.reason, TimeoutError)
-                reason = f"no answer within {self.timeout:g} s" if slow else f"it cannot be reached: {error.reason}"
+                what = getattr(error.reason, "strerror", None) or error.reason
+                reason = f"no answer within {self.timeout:g} s" if slow else f"it cannot be reached: {what}"
             except (http.client.HTTPException, OSError) as error:
                 what = "" if isinstance(error, http.client.IncompleteRead) else f": {error}"
                 reason = f"the connection was cut{what}"
