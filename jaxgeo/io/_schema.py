@@ -21,6 +21,7 @@ HalfTurn = Annotated[float, Field(strict=True, ge=-180.0, le=180.0), Unit("deg")
 Millimetres = Annotated[float, Field(strict=True, gt=0.0), Unit("mm")]
 Micrometres = Annotated[float, Field(strict=True, gt=0.0), Unit("um")]
 Pixels = Annotated[float, Field(strict=True, gt=0.0), Unit("pixels")]
+OnMap = Annotated[float, Field(strict=True, ge=-1e8, le=1e8), Unit("m")]
 _Pixels = Annotated[float, Field(strict=True, gt=0.0)]
 PixelsOfAxes = Annotated[
     _Pixels | Annotated[list[_Pixels], Field(min_length=2, max_length=2)],
@@ -207,11 +208,14 @@ class MountTable(_Table):
 class PoseTable(_Table):
     """Position and attitude of the aircraft.
 
-    The attitude is true heading, pitch and roll, or omega, phi and kappa in the grid of `map_crs`.
+    The position is latitude and longitude, or easting and northing in `map_crs`. The attitude is true heading, pitch
+    and roll, or omega, phi and kappa in the grid of `map_crs`.
     """
 
-    lat_deg: SmallAngle
-    lon_deg: Angle
+    lat_deg: SmallAngle | None = None
+    lon_deg: Angle | None = None
+    easting_m: OnMap | None = None
+    northing_m: OnMap | None = None
     height_m: Height
     height_datum: Datum
     heading_deg: Angle | None = None
@@ -223,16 +227,31 @@ class PoseTable(_Table):
     map_crs: Text | None = None
     time_s: Seconds = 0.0
 
+    @property
+    def is_on_map(self) -> bool:
+        """Whether the position is in `map_crs`."""
+        return self.easting_m is not None
+
+    @model_validator(mode="after")
+    def _one_position(self) -> PoseTable:
+        angles, lengths = [self.lat_deg, self.lon_deg], [self.easting_m, self.northing_m]
+        one = (None not in angles and lengths == [None] * 2) or (None not in lengths and angles == [None] * 2)
+        if not one or (self.is_on_map and self.map_crs is None):
+            raise ValueError("the position is lat_deg and lon_deg (deg), or easting_m and northing_m (m) with map_crs")
+        return self
+
     @model_validator(mode="after")
     def _one_attitude(self) -> PoseTable:
         body = [self.heading_deg, self.pitch_deg, self.roll_deg]
-        grid = [self.omega_deg, self.phi_deg, self.kappa_deg, self.map_crs]
-        complete = (None not in body and grid == [None] * 4) or (None not in grid and body == [None] * 3)
-        if not complete:
+        grid = [self.omega_deg, self.phi_deg, self.kappa_deg]
+        complete = (None not in body and grid == [None] * 3) or (None not in grid and body == [None] * 3)
+        if not complete or (grid[0] is not None) > (self.map_crs is not None):
             raise ValueError(
                 "the attitude is heading_deg, pitch_deg and roll_deg (deg), all three; "
                 "or omega_deg, phi_deg and kappa_deg (deg) with map_crs"
             )
+        if self.map_crs is not None and grid[0] is None and not self.is_on_map:
+            raise ValueError("map_crs goes with easting_m and northing_m (m), or with omega_deg, phi_deg and kappa_deg")
         return self
 
 

@@ -27,7 +27,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._bounded import check_dotted_keys, check_nesting, read_bytes
 from jaxgeo.io._mistakes import explain
-from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, how_to_get, known_crs, operation
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
@@ -236,7 +236,8 @@ def _air(table: AirTable, pose: PoseTable | None) -> Atmosphere:
                 "[air] sea_level_m is missing: without a [pose] it must say how far mean sea level lies above the "
                 "ellipsoid, in m (the undulation of the geoid)."
             )
-        sea_level = float(undulation(pose.lat_deg, pose.lon_deg))
+        lon, lat = lonlat_of_pose(pose)
+        sea_level = float(undulation(lat, lon))
     if table.pressure_hpa is None or table.temperature_c is None or table.height_msl_m is None:
         return Atmosphere(sea_level=sea_level)
     return Atmosphere.measured(
@@ -248,17 +249,39 @@ def _air(table: AirTable, pose: PoseTable | None) -> Atmosphere:
 
 
 def _pose(table: PoseTable) -> Pose:
+    lon, lat = lonlat_of_pose(table)
     try:
-        height = ellipsoidal_heights([table.lon_deg], [table.lat_deg], [table.height_m], table.height_datum)[0]
+        height = ellipsoidal_heights([lon], [lat], [table.height_m], table.height_datum)[0]
     except (OutsideDatum, VerticalDatumError) as error:
         raise ValueError(f"[pose] {error}") from error
-    position = Geodetic.from_degrees(lat=table.lat_deg, lon=table.lon_deg, height=height)
-    if table.map_crs is None:
+    position = Geodetic.from_degrees(lat=lat, lon=lon, height=height)
+    if table.omega_deg is None or table.map_crs is None:
         heading, pitch, roll = _radians(table.heading_deg, table.pitch_deg, table.roll_deg)
         return Pose(position, heading, pitch, roll)
     angles = _radians(table.omega_deg, table.phi_deg, table.kappa_deg)
-    convergence = grid_convergence(table.map_crs, table.lon_deg, table.lat_deg)
-    return Pose.from_omega_phi_kappa(position, *angles, convergence=convergence)
+    return Pose.from_omega_phi_kappa(position, *angles, convergence=grid_convergence(table.map_crs, lon, lat))
+
+
+def lonlat_of_pose(table: PoseTable) -> tuple[float, float]:
+    """(longitude, latitude) of a pose on WGS 84, deg. Raises `ValueError`."""
+    if table.lon_deg is not None and table.lat_deg is not None:
+        return table.lon_deg, table.lat_deg
+    assert table.map_crs is not None
+    found = transformer_of_map(table.map_crs).transform(table.easting_m, table.northing_m)
+    lon, lat = (float(one) for one in found[:2])
+    if not (math.isfinite(lon) and math.isfinite(lat)):
+        place = f"easting_m = {table.easting_m:.10g}, northing_m = {table.northing_m:.10g}"
+        raise ValueError(f"[pose] {place} is no place on the map {table.map_crs!r}.")
+    return lon, lat
+
+
+def transformer_of_map(map_crs: str) -> pyproj.Transformer:
+    """The transformation from the map of a pose to longitude and latitude on WGS 84. Raises `ValueError`."""
+    _projected(map_crs)
+    try:
+        return operation(map_crs, "EPSG:4326").transformer
+    except NoOperation as error:
+        raise ValueError(f"[pose] map_crs = {map_crs!r}: {error}. {how_to_get(error.missing)}") from error
 
 
 def _radians(*angles_deg: float | None) -> list[float]:
@@ -303,6 +326,11 @@ def _shift_of(datum: str, thread: int) -> HeightShift:
 
 def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:
     """Grid convergence: direction of a map's grid north at a position in rad, clockwise from true north."""
+    return math.radians(pyproj.Proj(_projected(map_crs)).get_factors(lon_deg, lat_deg).meridian_convergence)
+
+
+def _projected(map_crs: str) -> pyproj.CRS:
+    """The map of a pose. Raises `ValueError`."""
     try:
         crs = known_crs(map_crs)
     except UNKNOWN_CRS as error:
@@ -311,4 +339,4 @@ def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:
         ) from error
     if not crs.is_projected:
         raise ValueError(f"[pose] map_crs = {map_crs!r} ({crs.name}) is no map; expected a projected CRS.")
-    return math.radians(pyproj.Proj(crs).get_factors(lon_deg, lat_deg).meridian_convergence)
+    return crs

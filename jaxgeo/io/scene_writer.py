@@ -17,14 +17,14 @@ from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import PoseTable, SceneTable
-from jaxgeo.io.scene import SceneError, grid_convergence, read_scene
+from jaxgeo.io.scene import SceneError, grid_convergence, read_scene, transformer_of_map
 from jaxgeo.io.vertical import height_shift
 from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Pose, Sensor, Shot
 from jaxgeo.sensor.distortion import NoDistortion
 
 # Decimals written: about 1e-7 m for latitudes, 1e-11 rad for angles, 1e-7 m and 1e-9 pixels for lengths.
-DECIMALS = {"lat_deg": 12, "lon_deg": 12, "height_m": 7}
+DECIMALS = {"lat_deg": 12, "lon_deg": 12, "height_m": 7, "easting_m": 7, "northing_m": 7}
 DECIMALS_OF_ANGLES, DECIMALS_OF_LENGTHS = 10, 9
 SAME = 1e-12  # in rad, or relative: smaller differences of sensor parts count as equal
 
@@ -100,7 +100,11 @@ def _pose_changes(source: pathlib.Path, table: PoseTable, shot: Shot) -> Changes
     above = height_shift(table.height_datum).from_ellipsoid(*(np.array([x]) for x in (lon, lat, height)))
     if not np.isfinite(above[0]):
         raise SceneError(f"{source}: height_datum = {table.height_datum!r} is not defined at {lat:.6f}, {lon:.6f} deg.")
-    numbers = {"lat_deg": lat, "lon_deg": lon, "height_m": float(above[0])} | _attitude(table, pose, lon, lat)
+    numbers = {"lat_deg": lat, "lon_deg": lon}
+    if table.is_on_map and table.map_crs is not None:
+        x, y = transformer_of_map(table.map_crs).transform(lon, lat, direction="INVERSE")[:2]
+        numbers = {"easting_m": float(x), "northing_m": float(y)}
+    numbers |= {"height_m": float(above[0])} | _attitude(table, pose, lon, lat)
     changes: Changes = {
         ("pose", key): round(value, DECIMALS.get(key, DECIMALS_OF_ANGLES)) for key, value in numbers.items()
     }
@@ -109,7 +113,7 @@ def _pose_changes(source: pathlib.Path, table: PoseTable, shot: Shot) -> Changes
 
 def _attitude(table: PoseTable, pose: Pose, lon: float, lat: float) -> dict[str, float]:
     """The angles in deg in the form of the scene's pose."""
-    if table.map_crs is not None:
+    if table.omega_deg is not None and table.map_crs is not None:
         angles = pose.to_omega_phi_kappa(convergence=grid_convergence(table.map_crs, lon, lat))
         names = ("omega_deg", "phi_deg", "kappa_deg")
     else:

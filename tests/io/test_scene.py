@@ -13,7 +13,8 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxgeo.io import undulation, write_errors
+from jaxgeo.earth.projection import TransverseMercator
+from jaxgeo.io import undulation, write_errors, write_updated_scene
 from jaxgeo.io.scene import SceneError, load_scene, read_scene
 from jaxgeo.sensor import BrownConrady, FrameCamera
 from jaxgeo.uncertainty import ErrorModel
@@ -116,6 +117,27 @@ def test_kinds_of_gimbal(scene_file, kind: str, readings: str) -> None:
         np.testing.assert_allclose(looks[2], np.sin(np.deg2rad(60.0)), rtol=1e-14)
 
 
+ON_MAP = (("lat_deg = 44.2\nlon_deg = 5.3\n", 'easting_m = {x:.6f}\nnorthing_m = {y:.6f}\nmap_crs = "EPSG:32631"\n'),)
+
+
+def test_a_position_may_be_on_a_map(scene_file, tmp_path: pathlib.Path) -> None:
+    x, y = TransverseMercator.utm(31).forward(np.deg2rad(44.2), np.deg2rad(5.3))  # not PROJ's
+    ((old, new),) = ON_MAP
+    _, plain = load_scene(scene_file(GOOD))
+    path = scene_file(GOOD, (old, new.format(x=float(x), y=float(y))))
+    _, shot = load_scene(path)
+    np.testing.assert_allclose(np.rad2deg(float(shot.pose.position.lat)), 44.2, atol=1e-10)
+    np.testing.assert_allclose(np.rad2deg(float(shot.pose.position.lon)), 5.3, atol=1e-10)
+    assert float(shot.pose.heading) == float(plain.pose.heading)  # true, not of the grid
+    write_updated_scene(tmp_path / "new.toml", path, shot)
+    text = (tmp_path / "new.toml").read_text()
+    assert "easting_m" in text
+    assert "lat_deg" not in text
+    _, again = load_scene(tmp_path / "new.toml")
+    for one, other in zip(again.pose.position.to_degrees(), shot.pose.position.to_degrees(), strict=True):
+        np.testing.assert_allclose(float(one), float(other), rtol=1e-13)
+
+
 def test_omega_phi_kappa_of_a_level_camera_is_the_grid_north(scene_file) -> None:
     attitude = "heading_deg = 90\npitch_deg = 2.0\nroll_deg = -3.0"
     grid = 'omega_deg = 0.0\nphi_deg = 0.0\nkappa_deg = 0.0\nmap_crs = "EPSG:32631"'
@@ -149,9 +171,22 @@ MISTAKES = [
     ("height_m = 4000.0", "height_ft = 13123.0", ["[pose] height_ft = 13123.0", "write height_m, in m"]),
     ("roll_deg = -3.0", "rol_deg = -3.0", ["[pose] rol_deg", "write roll_deg"]),
     ("inner_deg = -1.0", "inner_deg = -1.0\ncolour = 3", ["[gimbal] colour = 3", "known here: kind, outer_deg"]),
+    ("lat_deg = 44.2\n", "", ["[pose]", "lat_deg and lon_deg (deg), or easting_m and northing_m (m) with map_crs"]),
+    ("lat_deg = 44.2", "easting_m = 5e5\nnorthing_m = 5e6", ["[pose]", "or easting_m and northing_m (m) with map_crs"]),
+    (
+        "lat_deg = 44.2\nlon_deg = 5.3",
+        'easting_m = 5e5\nnorthing_m = 5e6\nmap_crs = "EPSG:4326"',
+        ["[pose] map_crs = 'EPSG:4326'", "is no map"],
+    ),
+    (
+        "lat_deg = 44.2\nlon_deg = 5.3",
+        'easting_m = 9e7\nnorthing_m = 9e7\nmap_crs = "EPSG:32631"',
+        ["[pose] easting_m = 90000000", "is no place on the map 'EPSG:32631'"],
+    ),
+    ("lat_deg = 44.2", 'lat_deg = 44.2\nmap_crs = "EPSG:32631"', ["[pose]", "map_crs goes with easting_m"]),
     ("lat_deg = 44.2", "lat_deg = 95.0", ["[pose] lat_deg = 95.0", "at most 90 deg"]),
     ("lat_deg = 44.2", "lat_deg = nan", ["[pose] lat_deg = nan", "finite number", "deg"]),
-    ("lon_deg = 5.3", "", ["[pose] lon_deg is missing", "in deg"]),
+    ("lon_deg = 5.3", "", ["[pose]", "the position is lat_deg and lon_deg (deg)"]),
     ("lon_deg = 5.3", 'lon_deg = "5 E"', ["[pose] lon_deg = '5 E'", "valid number", "deg"]),
     ("pixel_pitch_um = 5.0", "pixel_pitch_um = -5.0", ["[camera] pixel_pitch_um = -5.0", "greater than 0 um"]),
     ("width = 400", "width = 400.5", ["[camera] width = 400.5", "whole pixels"]),
