@@ -216,6 +216,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
     "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
+    "doctor --json --debug",
     "demo -o picture.png --write-scene scene.toml --json --debug",
     "study all -o out --seed 1 --json --debug",
     "study li2020 -o out --seed 1 --json --debug",

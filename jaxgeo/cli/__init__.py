@@ -3,8 +3,8 @@
 `inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them,
 `accuracy-map` maps the accuracy of all places on an image; `validate` compares stated errors with check points;
 `footprint`, `point`, `overlap` and `plan` are for coverage and mission planning; `rectify` orthorectifies images,
-`register` estimates their orientation from a map; `dem` fetches elevation models; `demo` is an example; `study`
-reproduces published results.
+`register` estimates their orientation from a map; `dem` fetches elevation models; `scene` writes a scene file of an
+exposure; `demo` is an example; `doctor` checks the installation; `study` reproduces published results.
 
 All commands share one interface: results on stdout, messages and progress on stderr; `--json` prints one object
 (`_results.py`), `-o` writes a file atomically; exit codes are those of `_common.py`.
@@ -28,6 +28,7 @@ from jaxgeo.cli._results import version
 from jaxgeo.cli.accuracy_map import accuracy_map_command
 from jaxgeo.cli.dem import dem_command
 from jaxgeo.cli.demo import demo_command
+from jaxgeo.cli.doctor import doctor_command
 from jaxgeo.cli.footprint import footprint_command
 from jaxgeo.cli.inspect import inspect_command
 from jaxgeo.cli.locate import locate_command
@@ -98,6 +99,7 @@ _add("register", register_command)
 _add("dem", dem_command)
 _add("scene", scene_command)
 _add("demo", demo_command)
+_add("doctor", doctor_command)
 app.add_typer(studies, name="study")
 
 

@@ -64,6 +64,7 @@ EXAMPLES = {
         "jaxgeo scene flight.klv --exposure flight.klv#1 -o scene.toml",
     ),
     "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),
+    "doctor": ("jaxgeo doctor",),
     "li2020": ("jaxgeo study li2020 -o tables",),
     "li2023": ("jaxgeo study li2023 --samples 5000",),
     "xue2019": ("jaxgeo study xue2019 --trials 20 -o tables",),
