@@ -115,8 +115,8 @@ class FetchedDem:
             said.append(f"no tile {_listed(self.gaps)} in the archive: the elevation model ends there.")
         if self.cut:
             said.append(
-                f"{self.cut} line{'s' if self.cut != 1 else ''} of sight did not come down to the ground within "
-                f"{REACH / 1000.0:.0f} km; the elevation model ends there."
+                f"lines of sight that do not come down to the ground within {REACH / 1000.0:.0f} km, or rise: "
+                f"{self.cut}; the elevation model ends there."
             )
         return said
 
