@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from jaxgeo.io.archives.catalogue import ARCHIVES, Archive, archive_of, is_archive
 from jaxgeo.io.archives.errors import ArchiveError
-from jaxgeo.io.archives.fetch import FetchedDem, fetch_dem
+from jaxgeo.io.archives.fetch import fetch_dem
 from jaxgeo.io.archives.geoid_window import fetch_geoid
+from jaxgeo.io.archives.record import FetchedDem
 from jaxgeo.io.archives.store import DemCache
 from jaxgeo.io.archives.views import View, view_from, view_of, view_of_image, view_of_images
 from jaxgeo.io.archives.writer import write_dem
