@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.transform import Affine
+from rasterio.windows import Window
 from support.rasters import write
 from support.tile_server import Served, heights_at, plane_at, serving, write_archive, write_geoid, write_tile
 
@@ -106,7 +107,7 @@ def test_parts_of_a_tile_are_those_of_the_whole(server: Served, cache: DemCache,
     same_heights(found, by_hand(archive))
     with rasterio.open(found.files[0]) as part, rasterio.open(archive / NAME.removesuffix(".tif") / NAME) as whole:
         row, col = whole.index(*part.xy(0, 0))
-        window = rasterio.windows.Window(col, row, part.width, part.height)  # pyright: ignore[reportCallIssue]
+        window = Window(col, row, part.width, part.height)  # pyright: ignore[reportCallIssue]
         np.testing.assert_array_equal(part.read(1), whole.read(1, window=window))
 
 

@@ -72,7 +72,7 @@ def test_the_finest_items_of_a_search_are_read(tmp_path: pathlib.Path, tile: str
         ({"href": "http://host/a.png", "media": "image/png"}, "has no GeoTIFF named data, elevation"),
     ],
 )
-def test_items_that_are_refused(tmp_path: pathlib.Path, assets: dict[str, str], reason: str) -> None:
+def test_items_that_are_refused(tmp_path: pathlib.Path, assets: dict[str, Any], reason: str) -> None:
     with serving(tmp_path) as served:
         name = write_api(served, [item("odd", **assets)])
         with pytest.raises(ArchiveError, match=reason):

@@ -156,7 +156,7 @@ EXTRAS = {
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),
     "orthority": Extra(("yaml",), (interior_parameters,)),
-    "stac": Extra(("pystac_client", "requests"), (search,)),
+    "stac": Extra(("pystac", "pystac_client", "requests"), (search,)),
     "video": Extra(("av",), (telemetry,)),
     "xarray": Extra(("xarray",), (dataset,)),
 }

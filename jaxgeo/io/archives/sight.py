@@ -96,7 +96,8 @@ def follow(rays: Ray, ground: Ground, extent: Extent, *, spread: float = 0.0, be
     while active.any():
         index = np.flatnonzero(active)
         lon, lat, height = _geodetic(origin[index] + at[index, None] * direction[index])
-        above = height > CEILING
+        above = height > CEILING  # a ray cannot come down there on a shorter way than the rest of its height
+        onward = np.where(above, np.maximum(STEP, height - CEILING), STEP)
         rises = height > last[index]
         active[index[above & rises]] = False
         last[index] = height
@@ -113,13 +114,8 @@ def follow(rays: Ray, ground: Ground, extent: Extent, *, spread: float = 0.0, be
             far = at[under] - start[under] > np.where(rises, RISING, REACH)
             active[under[met | far]] = False
             cut[under[far & ~met]] = True
-        at[index] += np.where(above, np.maximum(STEP, _height_above(origin, direction, at, index)), STEP)
+        at[index] += onward
     return int(cut[: count // 2 if spread > 0.0 else count].sum())
-
-
-def _height_above(origin: np.ndarray, direction: np.ndarray, at: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """How far above `CEILING` rays are, m: a line of sight cannot reach it on a shorter way."""
-    return _geodetic(origin[index] + at[index, None] * direction[index])[2] - CEILING
 
 
 def _around(lon: np.ndarray, lat: np.ndarray, wide: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

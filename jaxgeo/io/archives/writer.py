@@ -15,7 +15,7 @@ from jaxgeo._partial import partial_file
 from jaxgeo.io._gdal import GDAL_ERRORS, options
 from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io.archives.errors import ArchiveError
-from jaxgeo.io.archives.fetch import FetchedDem
+from jaxgeo.io.archives.record import FetchedDem
 from jaxgeo.io.heights import open_source
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.windows import Window
