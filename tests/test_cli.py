@@ -189,7 +189,7 @@ def test_wrong_scene(tmp_path: pathlib.Path) -> None:
         (["--pixel", "1,2"], ["--dem", "--ground"]),
         (["--dem", DEM, "--pixel", "1,2", "--shots", "shots.csv"], ["--pixel", "--shots"]),
         (["--dem", "nowhere.tif", "--pixel", "1,2"], ["nowhere.tif"]),
-        (["--dem", DEM, "--pixel", "1,2", "--vertical-datum", "EPSG:999999"], ["EPSG:999999", "ellipsoid"]),
+        (["--dem", DEM, "--pixel", "1,2", "--dem-datum", "EPSG:999999"], ["EPSG:999999", "ellipsoid"]),
         (["--dem", DEM, "--shots", "nowhere.csv"], ["nowhere.csv"]),
         (["--dem", DEM, "--pixel", "1,2", "--output", "no/such/folder/x.csv"], ["no/such/folder"]),
     ],

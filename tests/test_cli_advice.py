@@ -20,7 +20,7 @@ LENSLESS = {name: value for name, value in DJI.items() if "Calibrated" not in na
 CAMERA_FILE = "[camera]\nwidth = 40\nheight = 30\nfocal_length_mm = 8.8\npixel_pitch_um = 240.0\n"
 LENSES = ["--camera focal=8.8mm,pitch=2.41um", "--camera focal=8.8mm,sensor=13.2mm", "--camera focal=3666px"]
 LENSES += ["--camera camera.toml"]
-DATUMS = ["--height-datum ellipsoid"]
+DATUMS = ["--camera-datum ellipsoid"]
 # Tags of XMP, options of the file, options typed beside, what is refused, and the ways out that are printed.
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str], str, list[str]]] = {
     "no focal length": (LENSLESS, {"exif": {}}, DATUMS, "nothing says what the focal length is", LENSES),
@@ -129,7 +129,7 @@ def test_a_scene_gives_its_camera(tmp_path: pathlib.Path) -> None:
         ('camera="Phantom 4 Pro".', "--camera 'Phantom 4 Pro'."),
         ("gimbal_deg=(121.3, -90, 0).", "--gimbal 121.3,-90,0."),
         ('gimbal_deg=("aircraft", -90, 0).', "--gimbal aircraft,-90,0."),
-        ("Give height_datum=: x", "Give --height-datum: x"),
+        ("Give height_datum=: x", "Give --camera-datum: x"),
         ("as takeoff_height=.", "as --takeoff-height."),
         ("leave size= of camera= out", "leave size= of --camera out"),
         ("no image is of camera='falcon'; they", "no image is of --camera 'falcon'; they"),

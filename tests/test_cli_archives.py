@@ -23,7 +23,7 @@ import jaxgeo
 from jaxgeo.cli import app
 
 TILE = "Copernicus_DSM_COG_10_N36_00_W085_00_DEM"
-IMAGE = "DJI_0042.JPG --height-datum ellipsoid"
+IMAGE = "DJI_0042.JPG --camera-datum ellipsoid"
 AREA = "--bounds -84.30,36.30,-84.28,36.32"
 
 
@@ -74,7 +74,7 @@ def test_a_fix_from_an_empty_home_is_that_of_the_same_model_by_hand(home: pathli
     assert (home / ".cache" / "jaxgeo" / "dem").is_dir()
     results.append(run(f"locate {IMAGE} --dem copernicus --json"))
     results.append(run(f"locate {IMAGE} --dem copernicus --offline --json"))
-    by_hand = f"--dem {archive}/{TILE}/{TILE}.tif --vertical-datum {archive}/us_nga_egm08_25.tif"
+    by_hand = f"--dem {archive}/{TILE}/{TILE}.tif --dem-datum {archive}/us_nga_egm08_25.tif"
     results.append(run(f"locate {IMAGE} {by_hand} --json"))
     assert [one.exit_code for one in results] == [0] * 4, results[-1].output
     *told, expected = (json.loads(one.stdout) for one in results)
@@ -254,15 +254,15 @@ def test_offline_the_missing_tile_goes_where_it_is_said(home: pathlib.Path, arch
     refused = run(f"dem {AREA} --offline")
     message = " ".join(refused.stderr.split())
     assert "offline, and heights above EPSG:3855 need the geoid grid us_nga_egm08_25.tif" in message
-    assert "give another --vertical-datum, or put the file into" in message
-    assert run(f"dem {AREA} --offline --vertical-datum EPSG:5773").exit_code == 0
+    assert "give another --dem-datum, or put the file into" in message
+    assert run(f"dem {AREA} --offline --dem-datum EPSG:5773").exit_code == 0
 
 
 def test_the_geoid_command_that_is_advised(
     server: Served, home: pathlib.Path, tmp_path: pathlib.Path, archive: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`jaxgeo dem --geoid EPSG:3855` puts PROJ's grid where it is found offline."""
-    assert run(f"dem {AREA} --vertical-datum EPSG:5773 {mirror(server)}").exit_code == 0
+    assert run(f"dem {AREA} --dem-datum EPSG:5773 {mirror(server)}").exit_code == 0
     refused = run(f"dem {AREA} --offline")
     advised = re.search(r"`(jaxgeo dem --geoid \S+)`", " ".join(refused.stderr.split()))
     assert advised is not None, refused.stderr
@@ -285,7 +285,7 @@ def test_an_unreachable_archive_is_read_by_the_options_that_are_advised(
     assert "Try again, name a --proxy or a --mirror, or download it elsewhere and put it at" in message
     assert "=" not in re.sub(r"https?://\S+", "", message)
     assert run(f"dem {AREA} {mirror(server)}").exit_code == 0
-    assert run(f"dem --bounds -84.7,36.3,-84.69,36.31 --mirror {archive} --vertical-datum EPSG:5773").exit_code == 0
+    assert run(f"dem --bounds -84.7,36.3,-84.69,36.31 --mirror {archive} --dem-datum EPSG:5773").exit_code == 0
 
 
 def test_environment_variables_instead_of_options(

@@ -120,7 +120,7 @@ def test_options_that_contradict_each_other(tmp_path, flight: pathlib.Path, monk
     assert words in " ".join(done.stderr.split())
 
 
-ORTHOS = (*READ, "--dem", "dem.tif", "--vertical-datum", "ellipsoid", "--resolution", "2", "--no-hidden-mask")
+ORTHOS = (*READ, "--dem", "dem.tif", "--dem-datum", "ellipsoid", "--resolution", "2", "--no-hidden-mask")
 
 
 @pytest.fixture
@@ -220,7 +220,7 @@ def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.
     profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": "EPSG:4326", "width": 4, "height": 4}
     with rasterio.open("far.tif", "w", transform=rasterio.transform.from_bounds(0, 0, 1, 1, 4, 4), **profile) as file:
         file.write(np.zeros((1, 4, 4), np.float32))
-    far = ("--dem", "far.tif", "--vertical-datum", "ellipsoid", *READ)
+    far = ("--dem", "far.tif", "--dem-datum", "ellipsoid", *READ)
     without = run("rectify", survey, *far, "--resolution", "2", "-o", "orthos")
     assert without.exit_code == 2
     assert "no frame sees any ground, which would determine --crs; state it" in " ".join(without.stderr.split())
@@ -237,7 +237,7 @@ def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.
     "more, words",
     [
         (["a.jpg", "b.jpg", "--scene", "scene.toml"], "--scene scene.toml has the pose of one image; got a.jpg and 1"),
-        (["a.jpg", "--scene", "scene.toml", "--height-datum", "ellipsoid"], "--height-datum is for images that state"),
+        (["a.jpg", "--scene", "scene.toml", "--camera-datum", "ellipsoid"], "--camera-datum is for images that state"),
         (["a.jpg", "--scene", "scene.toml", "--images", "."], "--images . is for a file with the poses of many"),
         (["a.jpg", "--scene", "scene.toml", "--cluster", "local:2"], "--cluster is for several images; --scene scene"),
         (["a.jpg", "--images", "nowhere"], "--images nowhere: there is no such folder."),
@@ -262,7 +262,7 @@ def test_options_of_orthophotos_that_contradict_each_other(survey: pathlib.Path,
         shutil.copy(survey / name, name)
     for name in ("mission.sbet", "flight.klv", "opk.csv"):
         FILES[name](pathlib.Path(name))
-    done = run("rectify", "--dem", "dem.tif", "--vertical-datum", "ellipsoid", "-o", "orthos", *more)
+    done = run("rectify", "--dem", "dem.tif", "--dem-datum", "ellipsoid", "-o", "orthos", *more)
     assert done.exit_code == 2
     assert words in " ".join(done.stderr.split())
     assert not pathlib.Path("orthos").exists()
@@ -270,7 +270,7 @@ def test_options_of_orthophotos_that_contradict_each_other(survey: pathlib.Path,
 
 @pytest.mark.slow
 def test_a_map_in_tiles_is_that_of_one_file(survey: pathlib.Path, by_threads, monkeypatch) -> None:
-    line = ("accuracy-map", survey / "a.jpg", *READ, "--dem", "dem.tif", "--vertical-datum", "ellipsoid")
+    line = ("accuracy-map", survey / "a.jpg", *READ, "--dem", "dem.tif", "--dem-datum", "ellipsoid")
     line = (*line, "--resolution", "25", "--samples", "0", "--crs", "EPSG:32616")
     one = run(*line, "-o", "one.tif", "--json")
     assert one.exit_code == 0, one.output

@@ -132,7 +132,7 @@ def test_point_at_the_ground_of_the_dem_and_at_a_height() -> None:
     assert on_ground.stdout.splitlines() == ["outer_deg = 72.000000", "inner_deg = 0.000000"]
     assert "564.57 m above the ellipsoid" in on_ground.stderr
     assert Status.hit.message in on_ground.stderr
-    at_height = run(*point, "36.26902887,-84.26795441,564.5726", "--height-datum", "ellipsoid")
+    at_height = run(*point, "36.26902887,-84.26795441,564.5726", "--camera-datum", "ellipsoid")
     assert at_height.exit_code == 0, at_height.output
     assert at_height.stdout == on_ground.stdout
     above_the_sea = run(*point, "36.26902887,-84.26795441,564.5726")
@@ -161,7 +161,7 @@ def test_point_out_of_range_tells_the_nearest() -> None:
 @pytest.mark.slow
 def test_point_at_what_is_hidden() -> None:
     """Ground behind a ridge: the readings hold, and the exit code says that it is not seen."""
-    result = run("point", "--scene", scene_file(), "--dem", DEM, "--target", "36.2,-84.35,0", "--height-datum", "0")
+    result = run("point", "--scene", scene_file(), "--dem", DEM, "--target", "36.2,-84.35,0", "--camera-datum", "0")
     assert result.exit_code == 1, result.output
     assert [line.split(" = ")[0] for line in result.stdout.splitlines()] == ["outer_deg", "inner_deg"]
     assert Status.hidden_by_terrain.message in result.stderr
@@ -237,7 +237,7 @@ def test_plan_by_the_ground(tmp_path: pathlib.Path, flight) -> None:
     result = plan(flight(), output, "--overlap", "0.9", "--place", "least")
     assert result.exit_code == 0, result.output
     assert "least: mean 0.9000, worst 0.9000" in result.stderr
-    again = run("footprint", "--scene", scene_file(), "--dem", DEM, "--shots", output, "--height-datum", "ellipsoid")
+    again = run("footprint", "--scene", scene_file(), "--dem", DEM, "--shots", output, "--camera-datum", "ellipsoid")
     assert again.exit_code == 0, again.output
     assert f"{len(exposures(output))} footprints" in again.stderr
 

@@ -119,28 +119,28 @@ def pits(value: float) -> np.ndarray:
 
 # Options of `write`, what is typed beside the DEM, and what must be advised.
 ADVISED: dict[str, tuple[dict[str, Any], str, str]] = {
-    "no datum": ({}, "", "--vertical-datum"),
-    "no datum, DTED": ({"driver": "DTED"}, "", "--vertical-datum"),
-    "void -9999": ({"heights": marked(-9999)}, "--vertical-datum ellipsoid", "--nodata -9999"),
-    "void -9999.9": ({"heights": marked(-9999.9)}, "--vertical-datum ellipsoid", "--nodata -9999.9"),
+    "no datum": ({}, "", "--dem-datum"),
+    "no datum, DTED": ({"driver": "DTED"}, "", "--dem-datum"),
+    "void -9999": ({"heights": marked(-9999)}, "--dem-datum ellipsoid", "--nodata -9999"),
+    "void -9999.9": ({"heights": marked(-9999.9)}, "--dem-datum ellipsoid", "--nodata -9999.9"),
     "two voids": (
-        {"heights": marked(-9999, -32768, dtype=np.int16)}, "--vertical-datum ellipsoid",
+        {"heights": marked(-9999, -32768, dtype=np.int16)}, "--dem-datum ellipsoid",
         "--nodata -32768 --nodata -9999",
     ),
     "void 3.4e38": (
-        {"heights": marked(float(np.finfo(np.float32).max))}, "--vertical-datum ellipsoid", "--nodata 3.4028235e+38",
+        {"heights": marked(float(np.finfo(np.float32).max))}, "--dem-datum ellipsoid", "--nodata 3.4028235e+38",
     ),
-    "pits": ({"heights": pits(12.5)}, "--vertical-datum ellipsoid", "--nodata 12.5"),
-    "unit that is unknown": ({"unit": "fathom"}, "--vertical-datum ellipsoid", '--height-unit "us-ft"'),
-    "3DEP": ({"unit": "foot", "crs": "EPSG:4326+5703"}, "--vertical-datum -30", '--height-unit "ft"'),
-    "a map in feet": (FEET, "--vertical-datum ellipsoid", '--height-unit "us-ft"'),
+    "pits": ({"heights": pits(12.5)}, "--dem-datum ellipsoid", "--nodata 12.5"),
+    "unit that is unknown": ({"unit": "fathom"}, "--dem-datum ellipsoid", '--height-unit "us-ft"'),
+    "3DEP": ({"unit": "foot", "crs": "EPSG:4326+5703"}, "--dem-datum -30", '--height-unit "ft"'),
+    "a map in feet": (FEET, "--dem-datum ellipsoid", '--height-unit "us-ft"'),
     "heights in cm": (
-        {"heights": marked(dtype=np.int32, factor=100.0)}, "--vertical-datum ellipsoid", '--height-unit "cm"',
+        {"heights": marked(dtype=np.int32, factor=100.0)}, "--dem-datum ellipsoid", '--height-unit "cm"',
     ),
     "ballpark": (
-        {"crs": LAMBERT, "affine": Affine(30, 0, 0, 0, -30, 0)}, "--vertical-datum ellipsoid", "--assume-wgs84",
+        {"crs": LAMBERT, "affine": Affine(30, 0, 0, 0, -30, 0)}, "--dem-datum ellipsoid", "--assume-wgs84",
     ),
-    "no such band": ({}, "--vertical-datum ellipsoid --dem-band 3", "--dem-band 1"),
+    "no such band": ({}, "--dem-datum ellipsoid --dem-band 3", "--dem-band 1"),
 }  # fmt: skip
 
 
@@ -172,11 +172,11 @@ def test_what_a_refusal_advises_works_as_printed(
     message = " ".join(refused.stderr.split())
     assert refused.exit_code == 2, refused.output
     assert "=" not in re.sub(r"height = |'[^']*'", "", message), message  # no word of Python's
-    if advised == "--vertical-datum":
+    if advised == "--dem-datum":
         assert advised in message
         values = re.findall(r'"(EPSG:5773|ellipsoid)"', message)
         assert set(values) == {"EPSG:5773", "ellipsoid"}
-        ways = [f'--vertical-datum "{value}"' for value in values]
+        ways = [f'--dem-datum "{value}"' for value in values]
     else:
         assert advised in advice(message), message
         ways = [advised]
@@ -184,7 +184,7 @@ def test_what_a_refusal_advises_works_as_printed(
         assert "'MSL'" in message
     for way in ways:
         kept = [] if "--dem-band" in way else typed.split()
-        kept += ["--vertical-datum", "ellipsoid"] if "--dem-band" in way else []
+        kept += ["--dem-datum", "ellipsoid"] if "--dem-band" in way else []
         accepted = run([*line.split(), *kept, *shlex.split(way)])
         # Some of these terrains lie elsewhere, which is told once they are read.
         assert re.search(r"read \(|the elevation model reaches", accepted.stderr), accepted.stderr
@@ -203,9 +203,9 @@ def test_what_lies_elsewhere_is_read_by_the_option_that_the_refusal_names(
     pathlib.Path("dem.vrt").write_text(vrt.replace("tiles/a.tif", "../tiles/a.tif"))
     monkeypatch.setattr("jaxgeo.coverage.point_gimbal", lambda *_, terrain, **__: _raise(f"read {terrain.posts.shape}"))
     monkeypatch.setattr("jaxgeo.io.rectify_file", lambda *_, **how: _raise(f"read {how['allow_outside']}"))
-    ground = "--dem dem.vrt --vertical-datum ellipsoid"
+    ground = "--dem dem.vrt --dem-datum ellipsoid"
     for line in (f"point --scene scene.toml --target 36.27,-84.268,500 {ground}", f"rectify dem.vrt --scene scene.toml "
-                 f"--dem {tmp_path}/tiles/a.tif --vertical-datum ellipsoid -o out.tif"):  # fmt: skip
+                 f"--dem {tmp_path}/tiles/a.tif --dem-datum ellipsoid -o out.tif"):  # fmt: skip
         refused = run(line.split())
         message = " ".join(refused.stderr.split())
         assert refused.exit_code == 2, refused.output
@@ -218,7 +218,7 @@ def test_what_lies_elsewhere_is_read_by_the_option_that_the_refusal_names(
 def test_a_url_asks_for_an_option(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     prepare(tmp_path, "jaxgeo point --scene scene.toml")
     monkeypatch.chdir(tmp_path)
-    line = f"point --scene scene.toml --target 36.27,-84.268,500 --dem {URL} --vertical-datum ellipsoid"
+    line = f"point --scene scene.toml --target 36.27,-84.268,500 --dem {URL} --dem-datum ellipsoid"
     refused = run(line.split())
     assert refused.exit_code == 2, refused.output
     assert f"{URL}: this is no file of this machine by its path. Pass --allow-remote" in " ".join(
@@ -231,7 +231,7 @@ def test_a_model_too_large_asks_for_a_part(tmp_path: pathlib.Path, monkeypatch: 
     prepare(tmp_path, "jaxgeo point --scene scene.toml")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxgeo.io._memory_at_hand.memory_at_hand", lambda: 1e8)
-    line = "point --scene scene.toml --target 36.27,-84.268,500 --dem dem.tif --vertical-datum ellipsoid"
+    line = "point --scene scene.toml --target 36.27,-84.268,500 --dem dem.tif --dem-datum ellipsoid"
     refused = run(line.split())
     assert refused.exit_code == 2, refused.output
     said = (

@@ -24,7 +24,7 @@ from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
 from jaxgeo.rotations import heading_pitch_roll_from_R
 
-ELLIPSOID = ["--height-datum", "ellipsoid"]
+ELLIPSOID = ["--camera-datum", "ellipsoid"]
 GROUND = ["--dem", "dem.tif"]
 
 
@@ -133,8 +133,9 @@ def test_overlaps_of_a_folder_are_of_consecutive_images_also_of_two_cameras(here
 
 def test_pointing_from_an_image_is_that_from_its_scene(here: pathlib.Path) -> None:
     target = ("--target", f"{LAT - 0.002},{LON},300")
+    target += ("--target-datum", "ellipsoid")
     of_file = done("point", "DJI_0042.JPG", *target, *ELLIPSOID)["readings_deg"]
-    of_scene = done("point", scene_of("DJI_0042.JPG"), *target, *ELLIPSOID)["readings_deg"]
+    of_scene = done("point", scene_of("DJI_0042.JPG"), *target)["readings_deg"]
     np.testing.assert_allclose(list(of_file.values()), list(of_scene.values()), atol=1e-9)
     assert list(of_file) == ["yaw", "pitch", "roll"]
 
@@ -145,18 +146,24 @@ MISTAKES = [
     (["footprint", "scene.toml", "--exposure", "a", *GROUND], ["--exposure a needs a FILE of exposures"]),
     (["footprint", "scene.toml", "--scene", "scene.toml", *GROUND], ["is itself a scene file; leave out --scene"]),
     (["footprint", "scene.toml", "--takeoff-height", "8", *GROUND], ["--takeoff-height is for a FILE of exposures"]),
-    (["footprint", "scene.toml", *ELLIPSOID, *GROUND], ["--height-datum ellipsoid applies to the heights of a FILE"]),
+    (["footprint", "scene.toml", *ELLIPSOID, *GROUND], ["--camera-datum ellipsoid applies to the heights of a FILE"]),
     (["overlap", *GROUND], ["give FILEs of exposures, or --scene with --navigation"]),
     (["overlap", "DJI_0042.JPG", *ELLIPSOID, *GROUND], ["DJI_0042.JPG: overlap needs at least two exposures"]),
     (["overlap", "strip", "--navigation", "n.csv", "--times", "1,2", *GROUND], ["give FILEs of exposures, or --scene"]),
-    (["point", "strip", *ELLIPSOID, "--target", "1,2,3"], ["strip has 3 exposures; name one with --exposure a.jpg"]),
-    (["point", "DJI_0042.JPG", "--target", "1,2,3"], ["--target 1,2,3: say what its height is above, with --height-"]),
+    (
+        ["point", "strip", *ELLIPSOID, "--target", "1,2,3", "--target-datum", "0"],
+        ["strip has 3 exposures; name one with --exposure a.jpg"],
+    ),
+    (
+        ["point", "DJI_0042.JPG", "--target", "1,2,3"],
+        ["--target 1,2,3: say what its height is above, with --target-datum"],
+    ),
     (["scene", "flight.klv", *ELLIPSOID, "-o", "o.toml"], ["has 2 exposures: 0, 1. Name one with --exposure 0"]),
     (["scene", "DJI_0042.JPG", *ELLIPSOID, "-o", "o.txt"], ["--output o.txt", "use .toml"]),
-    (["scene", "DJI_0042.JPG", "-o", "o.toml"], ["--height-datum"]),
+    (["scene", "DJI_0042.JPG", "-o", "o.toml"], ["--camera-datum"]),
     (
         ["register", "DJI_0042.JPG", "--reference", "dem.tif", *GROUND, "--scene", "scene.toml", *ELLIPSOID, "-o", "o"],
-        ["--height-datum is for an IMAGE that states its own pose; leave it out with --scene"],
+        ["--camera-datum is for an IMAGE that states its own pose; leave it out with --scene"],
     ),
     (
         ["register", "DJI_0042.JPG", "--reference", "dem.tif", *GROUND, "--scene", "bare.toml", "-o", "o"],

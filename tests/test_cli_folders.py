@@ -35,7 +35,7 @@ DJI = {
 }
 RTK = {"drone-dji:RtkStdLat": "0.01", "drone-dji:RtkStdLon": "0.02", "drone-dji:RtkStdHgt": "0.03"}
 DEWARP = {"drone-dji:DewarpData": "2020-01-01;3600,3600,1.0,-2.0,-0.1,0.02,0.0001,-0.0001,0.0"}
-READ = ["--height-datum", "ellipsoid"]
+READ = ["--camera-datum", "ellipsoid"]
 GROUND = ["--ground", "300", *READ]
 
 
@@ -288,7 +288,7 @@ def test_where_no_file_can_be_read_nothing_is_written(tmp_path: pathlib.Path) ->
 
 def test_what_concerns_all_files_is_refused_at_once(flight: pathlib.Path, tmp_path: pathlib.Path) -> None:
     for arguments, words in (
-        (["locate", flight, "--ground", "300"], "--height-datum"),
+        (["locate", flight, "--ground", "300"], "--camera-datum"),
         (["locate", flight, *GROUND, "--stream", "2"], "takes no --stream"),
         (["locate", flight, tmp_path / "nowhere.jpg", *GROUND], "there is no such file"),
         (["locate", tmp_path, *GROUND], "there are no images in this folder"),

@@ -54,7 +54,11 @@ def run(line: str):
 
 def options_of(words: tuple[str, ...]) -> dict[str, object]:
     """Options of a command by their long names."""
-    return {max(param.opts, key=len): param for param in COMMANDS[words].params if param.opts[0].startswith("-")}
+    return {
+        next((one for one in param.opts if one.startswith("--")), ""): param
+        for param in COMMANDS[words].params
+        if param.opts[0].startswith("-")
+    }
 
 
 @pytest.fixture
@@ -79,8 +83,8 @@ def test_flags_that_all_have(name: str) -> None:
 
 
 QUIET = [
-    "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --no-accuracy",
-    "scene DJI_0042.JPG --height-datum ellipsoid -o out.toml",
+    "locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 --no-accuracy",
+    "scene DJI_0042.JPG --camera-datum ellipsoid -o out.toml",
     "point --scene scene.toml --line-of-sight 250,18.5",
 ]
 
@@ -108,45 +112,45 @@ def test_every_flag_says_what_it_is_for(name: str) -> None:
 # A command line for every flag that there is; what it takes, as it takes it. They are all parsed here, and the shorter
 # ones are run; what the flags do is tested beside the commands.
 LINES = [
-    "inspect DJI_0042.JPG --height-datum ellipsoid --json --tags --debug",
+    "inspect DJI_0042.JPG --camera-datum ellipsoid --json --tags --debug",
     "inspect DJI_0042.JPG --takeoff-height 800 -o exposures.csv",
-    "inspect DJI_0042.JPG --height-datum ellipsoid --camera focal=8.8mm,pitch=2.41um --gimbal 30,-90,0 --json",
+    "inspect DJI_0042.JPG --camera-datum ellipsoid --camera focal=8.8mm,pitch=2.41um --gimbal 30,-90,0 --json",
     "inspect flight.klv --image-size 640,480 --upright --keep-damaged --json",
-    "inspect opk.csv --source-crs EPSG:32616 --height-datum EPSG:5773 --json",
-    "inspect reconstruction.json --camera one --height-datum -31 --json",
+    "inspect opk.csv --source-crs EPSG:32616 --camera-datum EPSG:5773 --json",
+    "inspect reconstruction.json --camera one --camera-datum -31 --json",
     "point --scene scene.toml --line-of-sight 250,18.5 --pixel 1200,2400 --json",
-    "scene DJI_0042.JPG --height-datum ellipsoid -o out.toml --json --debug",
+    "scene DJI_0042.JPG --camera-datum ellipsoid -o out.toml --json --debug",
     "dem --json --debug",
 ]
 LONG_LINES = [
-    f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --shard 1/1 --debug",
-    "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
+    f"locate {SCENE} --shots shots.csv --dem-datum EPSG:5773 --format geojson --shard 1/1 --debug",
+    "locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
     "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --principal-sigma 2,1px "
     "--dem-sigma 4 --refraction -o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
-    "report DJI_0042.JPG --height-datum ellipsoid --ground 300 --vertical-datum EPSG:5773 --pixel 10,20 --exposure "
+    "report DJI_0042.JPG --camera-datum ellipsoid --ground 300 --dem-datum EPSG:5773 --pixel 10,20 --exposure "
     "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
     "--principal-sigma 2px --dem-sigma 4 --title Title --details 1 -o out.html --json --debug",
     f"report {SCENE} --shots shots.csv --shard 1/1 --details 0 -o out.html",
-    f"footprint {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --height-datum ellipsoid --tolerance 30 "
+    f"footprint {SCENE} --shots shots.csv --dem-datum EPSG:5773 --camera-datum ellipsoid --tolerance 30 "
     "-o out.geojson --crs EPSG:32616 --edges --json --debug",
-    f"point {SCENE} --target 36.27,-84.268,900 --vertical-datum EPSG:5773 --height-datum ellipsoid --json --debug",
-    f"overlap {SCENE} --navigation flight.csv --times 101,103 --along rows --vertical-datum EPSG:5773 "
-    "--height-datum ellipsoid -o out.csv --format csv --json --debug",
+    f"point {SCENE} --target 36.27,-84.268,900 --dem-datum EPSG:5773 --target-datum ellipsoid --json --debug",
+    f"overlap {SCENE} --navigation flight.csv --times 101,103 --along rows --dem-datum EPSG:5773 "
+    "--camera-datum ellipsoid -o out.csv --format csv --json --debug",
     f"overlap {SCENE} --shots shots.csv",
-    "footprint DJI_0042.JPG --height-datum ellipsoid --dem dem.tif",
-    "point DJI_0042.JPG --height-datum ellipsoid --target 36.3155,-84.104,340 --json",
+    "footprint DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif",
+    "point DJI_0042.JPG --camera-datum ellipsoid --target 36.3155,-84.104,340 --target-datum EPSG:5773 --json",
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 --timing ground --place near --start 110 --along rows "
-    "--vertical-datum EPSG:5773 --height-datum ellipsoid -o out.csv --json --debug",
+    "--dem-datum EPSG:5773 --camera-datum ellipsoid -o out.csv --json --debug",
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
-    "--interpolation cubic --cog --status --no-hidden-mask --vertical-datum EPSG:5773 -o out.tif --debug",
+    "--interpolation cubic --cog --status --no-hidden-mask --dem-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
-    f"accuracy-map {SCENE} --vertical-datum EPSG:5773 --crs EPSG:32616 --resolution 1000 --samples 0 "
+    f"accuracy-map {SCENE} --dem-datum EPSG:5773 --crs EPSG:32616 --resolution 1000 --samples 0 "
     "--probability 0.95 --json -o out.tif",
-    "validate images --points points.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif --point-sigma "
+    "validate images --points points.csv --points-datum ellipsoid --camera-datum ellipsoid --dem dem.tif --point-sigma "
     "0.1 --pixel-sigma 1 --calibrate out.toml --json -o out.png",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px "
     "--reference-sigma 5 --registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 "
-    "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
+    "--dem-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
 READING = (
@@ -157,14 +161,14 @@ FILE = (
     "--takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged --stream 1 "
     "--errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --exposure a"
 )
-MANY = "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
+MANY = "locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
 MANY_MORE = [
-    "rectify images --height-datum ellipsoid --dem dem.tif --cluster local:1 --resume -o orthos",
-    "rectify reconstruction.json --images images --height-datum ellipsoid --dem dem.tif -o orthos",
+    "rectify images --camera-datum ellipsoid --dem dem.tif --cluster local:1 --resume -o orthos",
+    "rectify reconstruction.json --images images --camera-datum ellipsoid --dem dem.tif -o orthos",
     "rectify FILE --dem dem.tif --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
     "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
-    "report images --height-datum ellipsoid --ground 300 --cluster local:1 -o out.html",
-    "accuracy-map images --height-datum ellipsoid --dem dem.tif --cluster local:1 --resume --exposure a -o maps",
+    "report images --camera-datum ellipsoid --ground 300 --cluster local:1 -o out.html",
+    "accuracy-map images --camera-datum ellipsoid --dem dem.tif --cluster local:1 --resume --exposure a -o maps",
     "accuracy-map FILE --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
     "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
     f"accuracy-map {SCENE} {READING} -o out.tif",
@@ -172,7 +176,7 @@ MANY_MORE = [
     "validate FILE --points p --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 "
     "--upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p",
     f"validate {SCENE} --points p --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma "
-    "3px --principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --vertical-datum EPSG:5773 --calibrate e.toml "
+    "3px --principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --dem-datum EPSG:5773 --calibrate e.toml "
     "--each-axis --debug",
     f"accuracy-map {SCENE} --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
     "--principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --bounds 1,2,3,4 --cog --debug -o out.tif",
@@ -190,16 +194,16 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
     f"footprint FILE --dem dem.tif {FILE}",
-    f"point FILE --target 1,2,3 {FILE} --height-datum ellipsoid",
+    f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
     f"overlap FILE --dem dem.tif {FILE}",
-    f"scene FILE {FILE} --scene camera.toml --height-datum ellipsoid -o out.toml",
-    f"register FILE --reference ortho.tif --dem dem.tif {FILE.removesuffix(' --exposure a')} --height-datum ellipsoid "
+    f"scene FILE {FILE} --scene camera.toml --camera-datum ellipsoid -o out.toml",
+    f"register FILE --reference ortho.tif --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid "
     "-o out",
     f"study gu2017 --image a --reference b --dem c --scene d {READING}",
     f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --refraction --details 0 -o out.html",
     "dem 36.3,-84.2 --radius 100 --archive srtm --mirror https://host --proxy http://host:1 --offline -o out.tif",
-    "dem --bounds -85,36,-84,37 --archive https://host/{S}{W}.tif --vertical-datum EPSG:5773",
-    "dem --for FILE --scene s --height-datum EPSG:5773 --takeoff-height 8 --source-crs EPSG:32616 --camera a "
+    "dem --bounds -85,36,-84,37 --archive https://host/{S}{W}.tif --dem-datum EPSG:5773",
+    "dem --for FILE --scene s --camera-datum EPSG:5773 --takeoff-height 8 --source-crs EPSG:32616 --camera a "
     "--image-size 64,48 --upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 "
     "--positions p",
     "dem --geoid EPSG:3855 --clear-cache",
@@ -223,7 +227,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "study li2023 -o out --samples 100 --seed 1 --cluster local:1 --json --debug",
     "study xue2019 -o out --size 500 --trials 3 --seed 1 --plane-limit 0.3 --height-limit 0.4 --limit-source A --json "
     "--debug",
-    "study gu2017 -o out --seed 1 --image a --reference b --dem c --scene d --vertical-datum EPSG:5773 "
+    "study gu2017 -o out --seed 1 --image a --reference b --dem c --scene d --dem-datum EPSG:5773 "
     "--position-sigma 50 --attitude-sigma 0.5 --json --debug",
 ]
 
@@ -345,10 +349,10 @@ REFUSED = [
     ("inspect deep.json", r"deep\.json: more than 64 levels of lists.*"),
     ("inspect cut.sbet", r"cut\.sbet: .*136.*"),
     (
-        f"locate {SCENE} --vertical-datum 5773.5",
-        r"dem\.tif: --vertical-datum 5773\.5 would be a constant undulation.*|--vertical-datum 5773\.5 would .*",
+        f"locate {SCENE} --dem-datum 5773.5",
+        r"dem\.tif: --dem-datum 5773\.5 would be a constant undulation.*|--dem-datum 5773\.5 would .*",
     ),
-    ("inspect opk.csv --height-datum ellipsoid", r"opk\.csv.* states no CRS: pass --source-crs EPSG:32616\."),
+    ("inspect opk.csv --camera-datum ellipsoid", r"opk\.csv.* states no CRS: pass --source-crs EPSG:32616\."),
     ("rectify noise.tif --scene scene.toml --dem dem.tif -o out.tif", r"noise\.tif: .*"),
     ("footprint --scene scene.toml --dem noise.tif", r"noise\.tif: .*"),
     ("locate --scene scene.toml --dem noise.tif", r"noise\.tif: .*"),
@@ -357,15 +361,15 @@ REFUSED = [
     (f"plan {SCENE} --navigation flight.csv --overlap 0.1 -o no/out.csv", r"--output no/out\.csv: .*no folder.*"),
     ("inspect flight.klv -o no/out.csv", r"--output no/out\.csv: there is no folder no;.*"),
     (
-        "validate DJI_0042.JPG --points gcp_list.txt --height-datum ellipsoid --ground 300",
+        "validate DJI_0042.JPG --points gcp_list.txt --camera-datum ellipsoid --ground 300",
         r"--points gcp_list\.txt: state the vertical datum of its heights with --points-datum.*",
     ),
     (
-        "validate DJI_0042.JPG --points points.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif",
+        "validate DJI_0042.JPG --points points.csv --points-datum ellipsoid --camera-datum ellipsoid --dem dem.tif",
         r"image DJI_0043\.JPG of point P2 is not among the images: DJI_0042\.JPG\.",
     ),
     (
-        "validate DJI_0042.JPG --points empty.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif",
+        "validate DJI_0042.JPG --points empty.csv --points-datum ellipsoid --camera-datum ellipsoid --dem dem.tif",
         r"empty\.csv: .*",
     ),
     ("validate DJI_0042.JPG --points points.csv --ground 3 --each-axis", r"--each-axis is for the calibrated sigmas.*"),
@@ -420,7 +424,7 @@ def test_a_mistake_is_one_line(folder, line: str, pattern: str) -> None:
 
 @pytest.mark.parametrize("output, crs", [("a.kml", "EPSG:32616"), ("a.gpkg", "EPSG:99999")])
 def test_a_map_that_the_output_cannot_have_is_told_before_the_work(folder, monkeypatch, output: str, crs: str) -> None:
-    line = f"locate DJI_0042.JPG --height-datum ellipsoid --ground 300 -o {output} --crs {crs}"
+    line = f"locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 -o {output} --crs {crs}"
     folder(line)
     monkeypatch.setattr("jaxgeo.cli.locate.locate_inputs", failing(AssertionError("it was computed")))
     result = run(line)
@@ -430,7 +434,7 @@ def test_a_map_that_the_output_cannot_have_is_told_before_the_work(folder, monke
 
 
 OVERWRITING = [
-    "inspect opk.csv --source-crs EPSG:32616 --height-datum ellipsoid -o opk.csv",
+    "inspect opk.csv --source-crs EPSG:32616 --camera-datum ellipsoid -o opk.csv",
     f"footprint {SCENE} --shots shots.csv -o shots.gpkg",
     f"footprint {SCENE} -o dem.gpkg",
     f"overlap {SCENE} --shots shots.csv -o shots.csv",
@@ -558,7 +562,7 @@ def test_a_reader_that_leaves_is_not_told(tmp_path: pathlib.Path) -> None:
     source = tmp_path / "eo.csv"
     rows = [f"{k},36.3,-84.1,{900 + k},0,0,0" for k in range(3000)]
     source.write_text("\n".join(["image,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg", *rows]) + "\n")
-    command = [sys.executable, "-m", "jaxgeo", "inspect", str(source), "--height-datum", "ellipsoid", "--json"]
+    command = [sys.executable, "-m", "jaxgeo", "inspect", str(source), "--camera-datum", "ellipsoid", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None

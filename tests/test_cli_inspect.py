@@ -147,12 +147,12 @@ def test_heights_whose_datum_nobody_says_are_shown_with_that(tmp_path: pathlib.P
     result = run(path)
     assert result.exit_code == 0
     words = " ".join(result.output.split())
-    for word in ("153.90", "Vertical datum unknown", "--height-datum", "--takeoff-height", "AbsoluteAltitude"):
+    for word in ("153.90", "Vertical datum unknown", "--camera-datum", "--takeoff-height", "AbsoluteAltitude"):
         assert word in words
     assert "height_datum=" not in words
     refused = run(path, "--output", tmp_path / "shots.csv")
     assert refused.exit_code == 2
-    assert "--height-datum" in refused.output
+    assert "--camera-datum" in refused.output
     assert not (tmp_path / "shots.csv").exists()
 
 
@@ -202,7 +202,7 @@ def test_a_table_against_something_else_than_the_scene_is_refused(
 def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "photo.jpg"
     of_image(path)
-    told = json.loads(run(path, "--json", "--tags", "--height-datum", "ellipsoid").output)
+    told = json.loads(run(path, "--json", "--tags", "--camera-datum", "ellipsoid").output)
     assert told["tags"][0]["drone-dji:GimbalPitchDegree"] == "-35.50"
     assert told["errors"] == {
         "position: north, m": 0.0093,
@@ -240,18 +240,18 @@ def test_other_files_are_refused_in_a_line(tmp_path: pathlib.Path, content: byte
         (
             "photo.jpg",
             ["--image-size", "10,20"],
-            ["(drone image) takes no --image-size", "it takes --height-datum, --takeoff"],
+            ["(drone image) takes no --image-size", "it takes --camera-datum, --takeoff"],
         ),
         ("video.bin", ["--image-size", "10"], ["--image-size '10'", "WIDTH,HEIGHT"]),
         ("video.bin", ["--image-size", "10,2.5"], ["--image-size", "whole numbers"]),
         (
             "video.bin",
             ["--takeoff-height", "10"],
-            ["takes no --takeoff-height", "it takes --height-datum, --image-size"],
+            ["takes no --takeoff-height", "it takes --camera-datum, --image-size"],
         ),
         ("video.bin", ["--output", "shots.xlsx"], ["--output shots.xlsx", ".csv"]),
         ("video.bin", ["--tags"], ["--tags needs --json"]),
-        ("eo.csv", ["--height-datum", "sea"], ["sea"]),
+        ("eo.csv", ["--camera-datum", "sea"], ["sea"]),
         ("missing.jpg", [], ["missing.jpg", "no such file"]),
     ],
 )
@@ -268,7 +268,7 @@ def test_mistakes(tmp_path: pathlib.Path, name: str, options: list[str], words: 
 def test_a_table_does_not_overwrite_what_is_read(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "eo.csv"
     path.write_text(TABLE)
-    result = run(path, "--height-datum", "ellipsoid", "--output", path)
+    result = run(path, "--camera-datum", "ellipsoid", "--output", path)
     assert result.exit_code == 2
     assert "would be overwritten" in result.output
     assert path.read_text() == TABLE

@@ -34,7 +34,7 @@ DJI = {
     "drone-dji:GimbalRollDegree": "+0.00",
     "drone-dji:CalibratedFocalLength": "3666.67",
 }
-GROUND = ["--ground", "300", "--height-datum", "ellipsoid"]
+GROUND = ["--ground", "300", "--camera-datum", "ellipsoid"]
 
 
 def run(*arguments: str | pathlib.Path):
@@ -119,8 +119,8 @@ def test_every_format_by_the_name_of_the_file(image: pathlib.Path, tmp_path: pat
 
 def test_level_ground_above_a_datum(image: pathlib.Path) -> None:
     level, geoid = (
-        as_json(image, "--ground", "300", "--height-datum", "ellipsoid", *more, "--no-accuracy")["fixes"][0]
-        for more in ([], ["--vertical-datum", "EPSG:5773"])
+        as_json(image, "--ground", "300", "--camera-datum", "ellipsoid", *more, "--no-accuracy")["fixes"][0]
+        for more in ([], ["--dem-datum", "EPSG:5773"])
     )
     assert geoid["fix_height_msl_m"] == pytest.approx(300.0, abs=1e-2)
     assert level["fix_height_m"] == pytest.approx(300.0, abs=1e-3)
@@ -138,7 +138,7 @@ def test_the_air_bends_lines_of_sight(image: pathlib.Path) -> None:
 def test_no_fix_at_all_is_told_with_the_reason(image: pathlib.Path) -> None:
     far = image.with_name("far.JPG")
     write_image(far, packet(DJI | {"drone-dji:GpsLatitude": "+46.0", "drone-dji:GpsLongitude": "+8.0"}), make="DJI")
-    result = run(far, "--dem", DEM, "--height-datum", "ellipsoid", "--no-accuracy")
+    result = run(far, "--dem", DEM, "--camera-datum", "ellipsoid", "--no-accuracy")
     assert result.exit_code == 1
     assert "ray_misses_terrain" in result.stdout
     (line,) = [line for line in result.stderr.splitlines() if "no pixel has a fix" in line]
@@ -149,13 +149,13 @@ def test_no_fix_at_all_is_told_with_the_reason(image: pathlib.Path) -> None:
 WRONG = [
     (
         ["{image}", "--ground", "300"],
-        ["vertical datum of its altitude is not stated", 'Give --height-datum: "ellipsoid"'],
+        ["vertical datum of its altitude is not stated", 'Give --camera-datum: "ellipsoid"'],
     ),
-    (["{image}", "--height-datum", "ellipsoid"], ["give the ground", "--dem FILE", "--ground HEIGHT"]),
+    (["{image}", "--camera-datum", "ellipsoid"], ["give the ground", "--dem FILE", "--ground HEIGHT"]),
     (["{image}", *GROUND, "--dem", DEM], ["give the ground", "either"]),
-    (["{image}", "--ground", "high", "--height-datum", "ellipsoid"], ["--ground 'high'", "a height in m"]),
+    (["{image}", "--ground", "high", "--camera-datum", "ellipsoid"], ["--ground 'high'", "a height in m"]),
     (
-        ["{image}", "--ground", "reported", "--height-datum", "ellipsoid"],
+        ["{image}", "--ground", "reported", "--camera-datum", "ellipsoid"],
         ["--ground reported", "reports no frame centre height"],
     ),
     (["{image}", *GROUND, "--exposure", "DJI_0043.JPG"], ["--exposure DJI_0043.JPG", "known: DJI_0042.JPG"]),
@@ -174,7 +174,7 @@ WRONG = [
     (["{image}", *GROUND, "--shots", "shots.csv"], ["--shots shots.csv", "--scene"]),
     (["{image}", *GROUND, "-o", "{image}"], ["--output", "unsupported file type .JPG"]),
     (["--ground", "300"], ["give a FILE", "--scene"]),
-    ([str(scene_file()), "--dem", DEM, "--height-datum", "ellipsoid"], ["--height-datum", "leave it out"]),
+    ([str(scene_file()), "--dem", DEM, "--camera-datum", "ellipsoid"], ["--camera-datum", "leave it out"]),
     ([str(scene_file()), "--dem", DEM, "--exposure", "a"], ["--exposure", "a scene has only one"]),
     (["nowhere.JPG", *GROUND], ["nowhere.JPG", "no such file"]),
 ]
@@ -206,7 +206,7 @@ def test_drone_images_of_a_real_flight(jaxgeo_test_data: pathlib.Path) -> None:
     village = Village.of(jaxgeo_test_data)
     images, dsm = village.folder / "images", village.folder / "dsm.tif"
     datum = f"{UNDULATION}"
-    told = as_json(images, "--height-datum", datum, "--dem", dsm, "--vertical-datum", datum)
+    told = as_json(images, "--camera-datum", datum, "--dem", dsm, "--dem-datum", datum)
     assert [pathlib.Path(row["name"]).stem for row in told["fixes"]] == list(FRAMES)
     for row in told["fixes"]:
         shot = village.shots[pathlib.Path(row["name"]).stem]
@@ -243,7 +243,7 @@ def test_poses_alone_with_the_camera_of_a_scene(tmp_path: pathlib.Path) -> None:
     record[:, 3], record[:, 9] = 5469.0, np.deg2rad(160.0)
     path = tmp_path / "mission.sbet"
     record.astype("<f8").tofile(path)
-    given = [path, "--height-datum", "ellipsoid", "--ground", "500"]
+    given = [path, "--camera-datum", "ellipsoid", "--ground", "500"]
     result = run(*given)
     assert result.exit_code == 2
     assert "there is no camera in a SBET" in result.stderr or "no camera" in result.stderr

@@ -302,7 +302,7 @@ MISTAKES = [
     ([*RECTIFY[:-1], "tile.tif", "--dem", "tile.tif"], ["tile.tif: this is an input"]),
     ([*RECTIFY[:5], "tiles.vrt", "--output", "tile.tif"], ["tile.tif: this is an input"]),
     ([*RECTIFY[:5], "tile*.tif", "--output", "tile.tif"], ["tile.tif: this is an input"]),
-    ([*RECTIFY, "--vertical-datum", "out.tif"], ["out.tif: this is an input"]),
+    ([*RECTIFY, "--dem-datum", "out.tif"], ["out.tif: this is an input"]),
     (
         [*RECTIFY[:1], "x_status.tif", *RECTIFY[2:-1], "x.tif", "--status"],
         ["x_status.tif: this is an input"],

@@ -15,7 +15,7 @@ from tests.io.test_flight_logs import airdata, subtitles
 from tests.test_cli_advice import printed
 
 UTM = "--source-crs EPSG:32616"
-DATUMS = ["--height-datum ellipsoid", "--height-datum EPSG:5773"]
+DATUMS = ["--camera-datum ellipsoid", "--camera-datum EPSG:5773"]
 LENS = "--camera focal=8.8mm,pitch=2.41um,size=5472x3648"
 LENSES = ["--scene SCENE.toml", LENS]
 TAKEOFF = "--takeoff-height"
@@ -137,5 +137,5 @@ def test_positions_alone_say_how_they_are_used(tmp_path: pathlib.Path, monkeypat
         result = run("inspect", "images", *shlex.split(way))
         assert result.exit_code == 0, result.output
         if name == "geo.txt":
-            assert "--height-datum ellipsoid" in printed(" ".join(result.output.split()))
-            assert run("inspect", "images", *shlex.split(way), "--height-datum", "ellipsoid").exit_code == 0
+            assert "--camera-datum ellipsoid" in printed(" ".join(result.output.split()))
+            assert run("inspect", "images", *shlex.split(way), "--camera-datum", "ellipsoid").exit_code == 0

@@ -44,7 +44,7 @@ DJI = {
     "drone-dji:GimbalRollDegree": "+0.00",
     "drone-dji:CalibratedFocalLength": "3666.67",
 }
-GROUND = ["--ground", "300", "--height-datum", "ellipsoid"]
+GROUND = ["--ground", "300", "--camera-datum", "ellipsoid"]
 MOST_BYTES = 5_000_000
 FROM_THE_NETWORK = re.compile(
     r"""(?:src|href|poster|srcset)\s*=\s*["']?\s*(?:https?:)?//|@import|url\(\s*["']?(?:https?:)?//"""
@@ -174,7 +174,7 @@ WRONG = [
     (["{image}", *GROUND, "-o", "nowhere/page.html"], ["--output nowhere/page.html", "there is no folder"]),
     (["{image}", *GROUND, "-o", "page.html", "--details", "-1"], ["--details -1", "0 or more"]),
     (["{image}", *GROUND, "-o", "page.html", "--probability", "90"], ["--probability 90", "between 0 and 1"]),
-    (["{image}", "--height-datum", "ellipsoid", "-o", "page.html"], ["give the ground", "--dem FILE"]),
+    (["{image}", "--camera-datum", "ellipsoid", "-o", "page.html"], ["give the ground", "--dem FILE"]),
     (["nowhere.JPG", *GROUND, "-o", "page.html"], ["nowhere.JPG", "no such file"]),
     (["--scene", "scene.html", "--ground", "0", "-o", "scene.html"], ["scene.html", "this is an input"]),
 ]
@@ -211,7 +211,7 @@ def test_without_the_extra_the_line_says_what_to_install(folder: pathlib.Path, t
 def test_a_page_without_any_fix_is_written_and_the_code_says_so(tmp_path: pathlib.Path) -> None:
     image = tmp_path / "DJI_0042.JPG"
     write_image(image, packet(DJI), make="DJI")
-    above = ["--height-datum", "ellipsoid", "--ground", "9000"]
+    above = ["--camera-datum", "ellipsoid", "--ground", "9000"]
     result = run("report", image, *above, "-o", tmp_path / "page.html")
     assert result.exit_code == 1, result.output
     assert "no pixel has a fix" in result.stderr

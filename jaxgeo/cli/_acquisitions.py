@@ -32,9 +32,9 @@ class ReadingOptions(OptionGroup):
     height_datum: Annotated[
         str | None,
         typer.Option(
-            "--height-datum",
+            "--camera-datum",
             metavar="DATUM",
-            help='Vertical datum of the file\'s heights: "ellipsoid", "EPSG:5773", or an undulation in m.',
+            help='Vertical datum of the camera heights in the file: "ellipsoid", "EPSG:5773", or an undulation in m.',
         ),
     ] = None
     takeoff_height: Annotated[
@@ -42,7 +42,7 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--takeoff-height",
             metavar="HEIGHT",
-            help="Drone images: height of the take-off point, m above the ellipsoid; replaces --height-datum.",
+            help="Drone images: height of the take-off point, m above the ellipsoid; replaces --camera-datum.",
         ),
     ] = None
     crs: Annotated[

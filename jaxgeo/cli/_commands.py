@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo.cli._archive_dem import forget
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
+from jaxgeo.cli._old_options import with_new_names
 from jaxgeo.cli._screen import print_message
 from jaxgeo.cli.dem import as_place
 
@@ -50,9 +51,11 @@ class Commands(TyperGroup):
         if not standalone_mode:
             return super().main(**given, **extra)
         forget()
-        words = list(sys.argv[1:] if args is None else args)
-        if words[:1] == ["dem"]:
-            given["args"] = [as_place(word) for word in words]
+        words, renamed = with_new_names(sys.argv[1:] if args is None else args)
+        if not {"--quiet", "-q"} & set(words):
+            for one in renamed:
+                print_message(one)
+        given["args"] = [as_place(word) for word in words] if words[:1] == ["dem"] else words
         try:
             code = super().main(**given, **extra)
             _flush_stdout(is_reported=code == MISTAKE)
@@ -148,8 +151,8 @@ def _wrong(error: Any) -> str:
 
 def _name(param: Any) -> str:
     """An option as typed, an argument by its metavar."""
-    longest = max((one for one in param.opts if one.startswith("-")), key=len, default=None)
-    return longest or (param.metavar or param.name or "").upper()
+    first = next((one for one in param.opts if one.startswith("--")), None)
+    return first or (param.metavar or param.name or "").upper()
 
 
 def _meaning(param: Any) -> str:

@@ -10,23 +10,23 @@ EXAMPLES = {
         "jaxgeo inspect mission.sbet --json",
     ),
     "locate": (
-        "jaxgeo locate DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --pixel 2000,1500",
-        "jaxgeo locate DJI_0042.JPG --height-datum ellipsoid --dem copernicus",
+        "jaxgeo locate DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif --pixel 2000,1500",
+        "jaxgeo locate DJI_0042.JPG --camera-datum ellipsoid --dem copernicus",
         "jaxgeo locate flight.klv --ground reported -o fixes.kml",
         f"jaxgeo locate {SCENE} --shots shots.csv -o fixes.csv",
     ),
     "report": (
         f"jaxgeo report {SCENE} --pixel 1200,2400 -o report.html",
-        "jaxgeo report DJI_0042.JPG --height-datum ellipsoid --dem dem.tif -o report.html",
+        "jaxgeo report DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif -o report.html",
         "jaxgeo report flight.klv --ground reported --details 1 -o report.html",
     ),
     "accuracy-map": (
         f"jaxgeo accuracy-map {SCENE} --resolution 200 -o accuracy.tif",
-        "jaxgeo accuracy-map DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --resolution 2 -o accuracy.tif",
+        "jaxgeo accuracy-map DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif --resolution 2 -o accuracy.tif",
     ),
     "validate": (
-        "jaxgeo validate images --points gcp_list.txt --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif",
-        "jaxgeo validate images --points points.csv --points-datum ellipsoid --height-datum ellipsoid --dem dem.tif "
+        "jaxgeo validate images --points gcp_list.txt --points-datum ellipsoid --camera-datum ellipsoid --dem dem.tif",
+        "jaxgeo validate images --points points.csv --points-datum ellipsoid --camera-datum ellipsoid --dem dem.tif "
         "--calibrate errors.toml -o validation.png",
     ),
     "footprint": (
@@ -48,7 +48,7 @@ EXAMPLES = {
     "rectify": (
         f"jaxgeo rectify image.tif {SCENE} -o ortho.tif",
         f"jaxgeo rectify image.tif {SCENE} --crs EPSG:32616 --resolution 5 --cog -o ortho.tif",
-        "jaxgeo rectify DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --resolution 0.5 -o ortho.tif",
+        "jaxgeo rectify DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif --resolution 0.5 -o ortho.tif",
     ),
     "register": (
         f"jaxgeo register image.tif --reference ortho.tif {SCENE} --position-sigma 20 --attitude-sigma 0.3 "
@@ -56,11 +56,11 @@ EXAMPLES = {
     ),
     "dem": (
         "jaxgeo dem 36.31,-84.25 --radius 2000 -o ground.tif",
-        "jaxgeo dem --for DJI_0042.JPG --height-datum ellipsoid",
+        "jaxgeo dem --for DJI_0042.JPG --camera-datum ellipsoid",
         "jaxgeo dem",
     ),
     "scene": (
-        "jaxgeo scene DJI_0042.JPG --height-datum ellipsoid -o scene.toml",
+        "jaxgeo scene DJI_0042.JPG --camera-datum ellipsoid -o scene.toml",
         "jaxgeo scene flight.klv --exposure flight.klv#1 -o scene.toml",
     ),
     "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),

@@ -98,9 +98,8 @@ class ExposureOptions(OptionGroup):
         named = [*(self.files or []), self.scene, self.shots, reading.positions, reading.errors, reading.interior]
         return [one for one in named if one is not None]
 
-    def check(self, reading: ReadingOptions, *, has_heights: bool = False) -> None:
-        """Raises `UserError` for options that contradict each other, and for wrong values; `has_heights` if the
-        command line has heights of its own, to which --height-datum applies."""
+    def check(self, reading: ReadingOptions) -> None:
+        """Raises `UserError` for options that contradict each other, and for wrong values."""
         given = reading.arguments
         if not self.files and self.scene is None:
             raise UserError("give a FILE that jaxgeo inspect reads, or --scene SCENE.toml.")
@@ -114,11 +113,11 @@ class ExposureOptions(OptionGroup):
         if self.names:
             raise UserError(f"--exposure {self.names[0]} needs a FILE of exposures; a scene has only one.")
         for name, value in given.items():
-            if name == "height_datum" and (has_heights or self.shots is not None):
+            if name == "height_datum" and self.shots is not None:
                 continue
             if name == "height_datum":
                 raise UserError(
-                    f"--height-datum {value} applies to the heights of a FILE of exposures, or of --shots FILE; leave "
+                    f"--camera-datum {value} applies to the heights of a FILE of exposures, or of --shots FILE; leave "
                     f"it out."
                 )
             raise UserError(f"{typed(name)} is for a FILE of exposures; leave it out with a scene.")

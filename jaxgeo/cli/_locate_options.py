@@ -108,7 +108,7 @@ class GroundOptions(DemOptions):
     vertical_datum: Annotated[
         str | None,
         typer.Option(
-            "--vertical-datum",
+            "--dem-datum",
             metavar="DATUM",
             help='Vertical datum of the ground: "EPSG:5773", "ellipsoid", an undulation in m, a geoid grid.',
             rich_help_panel=SEEN,
@@ -129,7 +129,7 @@ class GroundOptions(DemOptions):
         typer.Option(
             "--ground",
             metavar="HEIGHT",
-            help="Level ground instead of --dem: height in m above the ellipsoid or --vertical-datum; or 'reported': "
+            help="Level ground instead of --dem: height in m above the ellipsoid or --dem-datum; or 'reported': "
             "the frame centre height in the telemetry.",
             rich_help_panel=SEEN,
         ),

@@ -12,7 +12,8 @@ from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._common import UserError
 
 # Options of `read_observations` whose command-line name differs by more than dashes.
-OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities", "exposures": "exposure",
+OTHER_NAMES = {"height_datum": "camera-datum", "vertical_datum": "dem-datum", "crs": "source-crs",
+               "gimbal_deg": "gimbal", "velocities": "no-velocities", "exposures": "exposure",
                "pixels": "pixel"}  # fmt: skip
 # Reader options available on the command line; the others are Python only.
 READING = (
@@ -75,7 +76,7 @@ _OF_DEM = {
     "height_unit": "height-unit",
     "band": "dem-band",
     "bounds": "dem-bounds",
-    "vertical_datum": "vertical-datum",
+    "vertical_datum": "dem-datum",
     "mirror": "mirror",
     "proxy": "proxy",
 }
@@ -89,8 +90,8 @@ _DEM_WORDS = (
     ("offline=True", "--offline"),
     ("bounds=(west, south, east, north)", "--dem-bounds WEST,SOUTH,EAST,NORTH"),
     (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
-    ("as vertical_datum", "with --vertical-datum"),
-    ("Leave vertical_datum out", "Leave --vertical-datum out"),
+    ("as vertical_datum", "with --dem-datum"),
+    ("Leave vertical_datum out", "Leave --dem-datum out"),
 )
 
 

@@ -104,8 +104,9 @@ DemFiles = Annotated[
 HeightDatum = Annotated[
     str | None,
     typer.Option(
+        "--camera-datum",
         metavar="DATUM",
-        help='Vertical datum of other heights: "EPSG:5773", "ellipsoid", an undulation in m (default: the scene\'s).',
+        help='Vertical datum of the navigation: "EPSG:5773", "ellipsoid", an undulation in m (default: the scene\'s).',
     ),
 ]
 ShotsFile = Annotated[pathlib.Path | None, typer.Option("--shots", metavar="FILE", help="CSV with a shot per row.")]
@@ -129,7 +130,7 @@ class DemOptions(OptionGroup):
     vertical_datum: Annotated[
         str | None,
         typer.Option(
-            "--vertical-datum",
+            "--dem-datum",
             metavar="DATUM",
             help='Vertical datum of the DEM: "EPSG:5773", "ellipsoid", an undulation in m, a geoid grid.',
             rich_help_panel="Options",

@@ -76,7 +76,7 @@ class SourceOptions(OptionGroup):
     vertical_datum: Annotated[
         str | None,
         typer.Option(
-            "--vertical-datum",
+            "--dem-datum",
             metavar="DATUM",
             help="Vertical datum of the tiles, if neither the archive nor the files state it.",
         ),

@@ -196,7 +196,7 @@ def _show(
     if "range_off_m" in rows[0]:
         console.print(_comparison(rows), markup=False)
     if unstated is not None:
-        console.print("Vertical datum unknown: pass --height-datum (below).", markup=False)
+        console.print("Vertical datum unknown: pass --camera-datum (below).", markup=False)
         console.print(f"  {as_typed(unstated)}", markup=False)
     if found.assumed:
         console.print("assumed:")

@@ -34,6 +34,15 @@ def point_command(
         str | None,
         typer.Option(metavar="PLACE", help="LAT,LON in deg, or LAT,LON,HEIGHT; without a height, that of --dem."),
     ] = None,
+    target_datum: Annotated[
+        str | None,
+        typer.Option(
+            "--target-datum",
+            metavar="DATUM",
+            help='Vertical datum of the height of --target: "EPSG:5773", "ellipsoid", an undulation in m (default: the '
+            "scene's).",
+        ),
+    ] = None,
     line_of_sight: Annotated[
         str | None,
         typer.Option(
@@ -58,8 +67,8 @@ def point_command(
         if not dem:
             check_goes_with_dem(reading)
             if reading.vertical_datum is not None:
-                raise UserError(f"--vertical-datum {reading.vertical_datum} applies to --dem; leave it out.")
-        names, found, aim = _point((given, how), dem or [], reading, (target, line_of_sight, pixel))
+                raise UserError(f"--dem-datum {reading.vertical_datum} applies to --dem; leave it out.")
+        names, found, aim = _point((given, how), dem or [], reading, (target, line_of_sight, pixel), target_datum)
         code = _print_readings(names, found, UNHIDDEN if not dem else None, as_json)
         if as_json:
             meaning = UNHIDDEN if not dem else None
@@ -74,10 +83,10 @@ def _point(
     dem: list[str],
     reading: DemOptions,
     texts: tuple[str | None, str | None, str | None],
+    target_datum: str | None,
 ) -> tuple[tuple[str, ...], Any, Any]:
     """(axis names, pointing, target)."""
     given, how = of
-    height_datum = how.height_datum
     target, direction, pixel = texts
     if (target is None) == (direction is None):
         raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
@@ -86,11 +95,11 @@ def _point(
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
     if len(place) == 2 and not dem:
         raise UserError(f"--target {target}: give its height, LAT,LON,HEIGHT, or --dem.")
-    if height_datum is not None and len(place) != 3 and given.is_scene:
-        raise UserError(f"--height-datum {height_datum} applies to a target height: --target LAT,LON,HEIGHT.")
-    if height_datum is None and len(place) == 3 and not given.is_scene:
-        raise UserError(f"--target {target}: say what its height is above, with --height-datum.")
-    given.check(how, has_heights=True)
+    if target_datum is not None and len(place) != 3:
+        raise UserError(f"--target-datum {target_datum} applies to a target height: --target LAT,LON,HEIGHT.")
+    if target_datum is None and len(place) == 3 and not given.is_scene:
+        raise UserError(f"--target {target}: say what its height is above, with --target-datum.")
+    given.check(how)
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
     from jaxgeo.coverage import point_gimbal
@@ -105,7 +114,7 @@ def _point(
         )
     (one,) = found
     sensor, shot = one.sensor, one.shot
-    stated = None if height_datum is None else as_datum(height_datum)
+    stated = None if target_datum is None else as_datum(target_datum)
     if given.scene_file is not None and stated is None:
         stated = read_scene(given.scene_file).height_datum
     assert isinstance(shot, Shot)

@@ -283,7 +283,7 @@ COMMANDS = (
     "locate --scene SPECIAL --ground 300",
     "locate --scene {scene} --ground 300 --shots SPECIAL",
     "locate --scene {scene} --dem SPECIAL",
-    "locate --scene {scene} --ground 300 --vertical-datum SPECIAL.gtx",
+    "locate --scene {scene} --ground 300 --dem-datum SPECIAL.gtx",
     "report --scene SPECIAL --ground 300 -o {out}.html",
     "footprint --scene SPECIAL " + GROUND,
     "footprint --scene {scene} --dem SPECIAL",

@@ -56,7 +56,7 @@ def harmful(text: str) -> set[str]:
 @pytest.mark.costly
 @pytest.mark.parametrize("name", NAMES)
 def test_no_name_reaches_the_terminal_as_more_than_text(tmp_path: pathlib.Path, name: str) -> None:
-    result = CliRunner().invoke(app, ["inspect", str(hostile(tmp_path, (name,))), "--height-datum", "ellipsoid"])
+    result = CliRunner().invoke(app, ["inspect", str(hostile(tmp_path, (name,))), "--camera-datum", "ellipsoid"])
     assert result.exit_code in (0, 2), result.output
     assert not harmful(result.output), result.output
 
@@ -72,7 +72,7 @@ def test_a_title_of_a_scene_is_text(tmp_path: pathlib.Path, title: str) -> None:
 
 
 def test_names_in_json_are_those_of_the_file(tmp_path: pathlib.Path) -> None:
-    result = CliRunner().invoke(app, ["inspect", str(hostile(tmp_path)), "--height-datum", "ellipsoid", "--json"])
+    result = CliRunner().invoke(app, ["inspect", str(hostile(tmp_path)), "--camera-datum", "ellipsoid", "--json"])
     assert result.exit_code == 0, result.output
     assert not harmful(result.stdout), result.stdout
     written = json.dumps(json.loads(result.stdout))
@@ -83,7 +83,7 @@ def test_names_in_json_are_those_of_the_file(tmp_path: pathlib.Path) -> None:
 @pytest.mark.parametrize("ending", [".csv", ".geojson", ".kml"])
 def test_no_name_breaks_out_of_a_file_that_is_written(tmp_path: pathlib.Path, ending: str) -> None:
     target = tmp_path / f"fixes{ending}"
-    line = ["locate", hostile(tmp_path), "--height-datum", "ellipsoid", "--ground", "0", "--pixel", "10,10"]
+    line = ["locate", hostile(tmp_path), "--camera-datum", "ellipsoid", "--ground", "0", "--pixel", "10,10"]
     result = CliRunner().invoke(app, [*map(str, line), "--no-accuracy", "-o", str(target)])
     assert result.exit_code in (0, 1, 2), result.output
     assert not harmful(result.output), result.output

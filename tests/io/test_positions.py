@@ -296,7 +296,7 @@ def run(*arguments: object):
 
 def test_positions_on_the_command_line(folder: pathlib.Path) -> None:
     path = written(folder, "geo.txt", GEO)
-    result = run("inspect", folder, "--positions", path, "--height-datum", "ellipsoid", "--json")
+    result = run("inspect", folder, "--positions", path, "--camera-datum", "ellipsoid", "--json")
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert [one["name"] for one in told["unread"]] == ["DJI_0002.JPG"]
@@ -307,6 +307,6 @@ def test_positions_on_the_command_line(folder: pathlib.Path) -> None:
     assert alone.exit_code == 2
     words = " ".join(alone.output.split())
     assert "--positions" in words
-    refused = run("inspect", folder, "--source-crs", "EPSG:32616", "--height-datum", "ellipsoid")
+    refused = run("inspect", folder, "--source-crs", "EPSG:32616", "--camera-datum", "ellipsoid")
     assert refused.exit_code == 2
     assert "--positions" in " ".join(refused.output.split())

@@ -47,7 +47,7 @@ def page(folder: pathlib.Path) -> None:
     importlib.import_module("jaxgeo.report")  # at once, before any computation
 
     output = folder / "page.html"
-    scene = ["--scene", example("demo_scene.toml"), "--dem", example("jacksboro.tif"), "--vertical-datum", "EPSG:5773"]
+    scene = ["--scene", example("demo_scene.toml"), "--dem", example("jacksboro.tif"), "--dem-datum", "EPSG:5773"]
     app(["report", *scene, "--details", "0", "-o", str(output)], standalone_mode=False)
     assert "</html>" in output.read_text(encoding="utf-8")
 
