@@ -23,7 +23,7 @@ SHARE = 0.03  # of the distance: the same
 REACH = 100_000.0  # m: how far below `CEILING` a line of sight that falls is followed
 RISING = 20_000.0  # m: the same for one that rises
 METRES_PER_DEGREE = 111_000.0
-AROUND = ((0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
+AROUND = tuple((x, y) for x in (0.0, -1.0, 1.0) for y in (0.0, -1.0, 1.0))  # in units of the margin
 MOST_RAYS = 20_000
 
 
@@ -119,7 +119,7 @@ def follow(rays: Ray, ground: Ground, extent: Extent, *, spread: float = 0.0, be
 
 
 def _around(lon: np.ndarray, lat: np.ndarray, wide: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions, and corners of squares with half a side of `wide` m around them."""
+    """Positions, and the corners and sides of squares with half a side of `wide` m around them."""
     down = wide / METRES_PER_DEGREE
     across = np.minimum(down / np.maximum(np.cos(np.radians(lat)), 1e-3), 90.0)
     lons = np.concatenate([lon + across * x for x, _ in AROUND])
