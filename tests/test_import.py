@@ -14,6 +14,8 @@ import pytest
 HEAVY = ["rasterio", "pyproj", "pyogrio", "shapely", "matplotlib", "optimistix", "lineax", "typer", "pydantic", "rich"]
 
 
+FILES = ["rasterio", "pyproj", "pyogrio", "pydantic", "jaxgeo.io.acquisitions", "jaxgeo.io.scene"]
+
 IMPORTED = """
 import json, sys, jax
 before = dict(jax.config.values)
@@ -37,6 +39,14 @@ def imported() -> dict:
 def test_import_loads_nothing_heavy(imported: dict) -> None:
     assert "jaxgeo" in imported["modules"]
     assert [name for name in HEAVY if name in imported["modules"]] == []
+
+
+def test_the_command_line_reads_no_library_of_files_before_a_command_does() -> None:
+    found = "import json, sys, jaxgeo.cli; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", found], capture_output=True, text=True, check=True)
+    modules = json.loads(done.stdout)
+    assert "jaxgeo.cli.locate" in modules
+    assert [name for name in FILES if name in modules] == []
 
 
 def test_import_leaves_jax_settings_alone(imported: dict) -> None:

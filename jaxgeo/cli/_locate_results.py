@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
@@ -14,9 +14,11 @@ from jaxgeo.cli._common import FAULT, NO_ANSWER
 from jaxgeo.cli._locate_inputs import LocateInputs
 from jaxgeo.cli._screen import bars_on_stderr, number_table, print_message, progress_bar, working
 from jaxgeo.fix import Fix
-from jaxgeo.io.detected import DetectedOutlines
 from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import Accuracy
+
+if TYPE_CHECKING:
+    from jaxgeo.io.detected import DetectedOutlines
 
 WIDE = 120  # terminal width, characters, from which all columns are shown
 
