@@ -19,6 +19,7 @@ from jaxgeo.cli._examples import EXAMPLES
 
 PROJECT = pathlib.Path(__file__).resolve().parents[1]
 FENCE = re.compile(r"^ *```(?:console|shell|bash|sh)\b[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+ROW = re.compile(r"^\|[^|]*\| `(jaxgeo \w+ [^`]+)`", re.MULTILINE)  # of a table of commands
 NOT_RUN = "not run"
 
 
@@ -45,12 +46,13 @@ def commands_of(group, above: tuple[str, ...] = ()):
 
 def shown_in(path: pathlib.Path) -> list[Shown]:
     """The commands of a page."""
-    found = []
-    for block in FENCE.findall(path.read_text(encoding="utf-8")):
+    text, where = path.read_text(encoding="utf-8"), path.relative_to(PROJECT).as_posix()
+    found = [Shown(line, "", where) for line in ROW.findall(text)]
+    for block in FENCE.findall(text):
         for line in block.replace("\\\n", " ").splitlines():
             command, _, note = line.strip().removeprefix("$ ").partition("  #")
             if command.startswith("jaxgeo "):
-                found.append(Shown(" ".join(command.split()), note.strip(), path.relative_to(PROJECT).as_posix()))
+                found.append(Shown(" ".join(command.split()), note.strip(), where))
     return found
 
 

@@ -20,6 +20,7 @@ from support.command_files import FILES, prepare
 from support.tile_server import mirrored
 
 import jaxgeo
+from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.register import Outcome
 from jaxgeo.status import Status
 
@@ -210,3 +211,11 @@ def test_site_is_built_and_loads_nothing_from_elsewhere(tmp_path: pathlib.Path) 
         assert not missing, room
     for style in site.rglob("*.css"):
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", style.read_text(encoding="utf-8")), style
+
+
+def test_the_cheat_sheet_names_every_column_of_fixes() -> None:
+    from jaxgeo.io._fix_columns import _figures_row, no_figures
+
+    text = (DOCS / "howto" / "cheat-sheet.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([a-z0-9_]+)`", text))
+    assert {*FIX_COLUMNS, *_figures_row(no_figures(1, 0.9), 0), "status_text"} <= named

@@ -61,7 +61,7 @@ EXAMPLES = {
     ),
     "scene": (
         "jaxgeo scene DJI_0042.JPG --camera-datum ellipsoid -o scene.toml",
-        "jaxgeo scene flight.klv --exposure flight.klv#1 -o scene.toml",
+        "jaxgeo scene flight.klv --exposure 1 -o scene.toml",
     ),
     "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),
     "doctor": ("jaxgeo doctor",),

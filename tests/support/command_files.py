@@ -57,6 +57,7 @@ CHECKED = (
     "P5,500,2600,36.3175985,-84.1023704,384.501",
     "P6,3500,2500,36.3161855,-84.1067089,376.841",
 )
+FOUND = "image,label,u_min,v_min,u_max,v_max\nDJI_0042.JPG,car,1900,1400,1960,1450\nDJI_0043.JPG,hut,100,200,400,500\n"
 SMALL = (192, 256)  # rows and columns of the image for rectification and registration
 CELL, SIDE, WEST, NORTH = 10.0, 400, 744_100.0, 4_021_600.0  # map: cell size in m, cells, and its corner in UTM zone 16
 SMALL_POSE = {"lat": 36.29, "lon": -84.26, "height": 3500.0, "heading": 30.0, "pitch": 1.0, "roll": -2.0}
@@ -125,6 +126,11 @@ def _sbet(path: pathlib.Path) -> None:
     record.astype("<f8").tofile(path)
 
 
+def _tiles(path: pathlib.Path) -> None:
+    path.mkdir()
+    shutil.copy(DEM, path / "one.tif")
+
+
 def _copy(of: pathlib.Path) -> Callable[[pathlib.Path], object]:
     return lambda path: shutil.copy(of, path)
 
@@ -149,12 +155,14 @@ def _gcp_list(path: pathlib.Path) -> None:
 FILES: dict[str, Callable[[pathlib.Path], object]] = {
     "scene.toml": _copy(scene_file()),
     "dem.tif": _copy(DEM),
+    "tiles": _tiles,
     "shots.csv": _shots,
     "flight.csv": _flight,
     "DJI_0042.JPG": _image,
     "images": _images,
     "points.csv": _points,
     "gcp_list.txt": _gcp_list,
+    "found.csv": lambda path: path.write_text(FOUND),
     "flight.klv": _telemetry,
     "mission.sbet": _sbet,
     "opk.csv": lambda path: path.write_text(OPK),
