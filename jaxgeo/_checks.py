@@ -73,24 +73,38 @@ def as_float64(tree: T, name: str) -> T:
     Raises `RuntimeError` with 64-bit floats off, `TypeError` on any other float or complex dtype.
     """
     require_x64()
-    return jax.tree_util.tree_map_with_path(lambda path, leaf: _leaf_as_float64(path, leaf, name), tree)
+    try:
+        return jax.tree.map(_leaf_as_float64, tree)
+    except _WrongDtypeError:  # paths cost more than everything else: only for the message
+        return jax.tree_util.tree_map_with_path(lambda path, leaf: _named_as_float64(path, leaf, name), tree)
 
 
-def _leaf_as_float64(path: Any, leaf: Any, name: str) -> Any:
+class _WrongDtypeError(TypeError):
+    """A leaf that is not of 64 bits."""
+
+
+def _leaf_as_float64(leaf: Any) -> Any:
+    if isinstance(leaf, jax.Array) and leaf.dtype == np.float64 and not leaf.weak_type:
+        return leaf
     if not (eqx.is_array_like(leaf) or isinstance(leaf, np.generic)):
         return leaf
     dtype = np.asarray(leaf).dtype if isinstance(leaf, bool | int | float | complex) else leaf.dtype
     if dtype == np.float64 or np.issubdtype(dtype, np.integer):
-        if isinstance(leaf, jax.Array) and dtype == np.float64 and not leaf.weak_type:
-            return leaf
         if isinstance(leaf, jax.Array) or not trace_state_clean():
             return jnp.asarray(leaf, jnp.float64)
         return jax.device_put(np.array(leaf, np.float64))  # jnp.asarray would compile a program for each shape
-    where = f"{name}{jax.tree_util.keystr(path)}"
-    raise TypeError(
-        f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
-        f"the metres. Make it float64 where it is read or created, e.g. np.asarray(x, np.float64)."
-    )
+    raise _WrongDtypeError(dtype)
+
+
+def _named_as_float64(path: Any, leaf: Any, name: str) -> Any:
+    try:
+        return _leaf_as_float64(leaf)
+    except _WrongDtypeError as error:
+        where, (dtype,) = f"{name}{jax.tree_util.keystr(path)}", error.args
+        raise TypeError(
+            f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
+            f"the metres. Make it float64 where it is read or created, e.g. np.asarray(x, np.float64)."
+        ) from None
 
 
 def concrete(value: Any) -> np.ndarray | None:
