@@ -54,6 +54,12 @@ class RadiusHistogram(Record):
         np.add.at(counts, place, np.concatenate([one.counts for one in every]))
         return RadiusHistogram(self.groups, bins, counts)
 
+    def of_zeros(self) -> RadiusHistogram:
+        """The histogram of as many radii, zero where they are finite."""
+        group, number = np.divmod(self.bins, BINS)
+        zeros = group * BINS + np.where(number == BINS - 1, number, 0)
+        return RadiusHistogram(self.groups, zeros, self.counts).merge(())
+
     def interval(self, probability: float, confidence: float) -> Interval:
         """Quantile and confidence interval, as `quantile_interval`, or for groups as `interval_of_scrambles`."""
         if self.groups > 1:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # submodules load lazily
 
 LEAST_SCRAMBLES = 16
-FEWEST_BEYOND = 4.0  # points of a scramble on either side of its quantile, on average; of fewer it is biased
+FEWEST_POINTS, FEWEST_BEYOND = 16, 4.0  # of a scramble, and of these beyond its quantile on average; else it is biased
 MANY = 65_536  # number of errors from which a full sort is avoided
 SAMPLE = 16_384
 
@@ -90,7 +90,8 @@ def interval_of_scrambles(
 
 def are_many(count: int, scrambles: int, probability: float) -> bool:
     """Whether scrambles have enough points for a quantile or share of their own."""
-    return (count // scrambles) * min(probability, 1.0 - probability) >= FEWEST_BEYOND
+    points = count // scrambles
+    return points >= FEWEST_POINTS and points * min(probability, 1.0 - probability) >= FEWEST_BEYOND
 
 
 def _scramble_quantiles(errors: np.ndarray, probability: float, scrambles: int, scramble_of: Any) -> np.ndarray:

@@ -103,9 +103,7 @@ def _of_directions(directions: Any, xp: Any) -> Rotation:
     return Rotation(xp.stack([*left, *right]).reshape(2, -1, len(axes)))
 
 
-def _offsets(
-    lines: PerturbedLines, count: int, inputs: ModelInputs, nominal: NominalFix, places: Any, xp: Any
-) -> Any:
+def _offsets(lines: PerturbedLines, count: int, inputs: ModelInputs, nominal: NominalFix, places: Any, xp: Any) -> Any:
     """Offsets (3, count) in m of lines of sight on level ground, along and across the nominal one, and in height."""
     of = lambda leaf: xp.asarray(leaf)[:count]  # noqa: E731
     east, north, up = (xp.asarray(nominal.direction_enu)[k] for k in range(3))

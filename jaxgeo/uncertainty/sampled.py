@@ -192,7 +192,8 @@ class Sampler(NamedTuple):
             if half_width is not None and tally.is_sharp(half_width, options.confidence):
                 break
         origin = Origin(**self.values, centre_enu=centre)
-        return tally.result(self.plan.fixes.nominal.fix, centre, options.confidence, origin)
+        found = tally.result(self.plan.fixes.nominal.fix, centre, options.confidence, origin)
+        return found.without_rounding() if self.plan.lines.model.is_exact else found
 
 
 def _draw(

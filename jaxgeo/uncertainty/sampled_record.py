@@ -101,11 +101,11 @@ class Sampled(Record):
 
         Samples without a fix are within none, not even an infinite one. With its confidence interval: of independent
         draws Clopper and Pearson's, of Sobol points Student's over the scrambles. Raises `ValueError` for a figure that
-        was not asked for, a radius that is not positive, and samples whose radii were not kept (`summary`).
+        was not asked for, a negative radius, and samples whose radii were not kept (`summary`).
         """
         self._check_figure(figure)
-        if not radius > 0.0:
-            raise ValueError(f"radius must be a positive length in m; got {radius!r}.")
+        if not radius >= 0.0:
+            raise ValueError(f"radius must be a length in m, 0 or more; got {radius!r}.")
         if self.histograms is not None:
             raise ValueError("the radii of these samples were not kept: sample again without summary.")
         places = np.flatnonzero((self.radii[figure] <= radius) & np.isfinite(self.radii[figure]))
@@ -164,6 +164,24 @@ class Sampled(Record):
         how = max(self.scrambles, 1), self.scramble_of
         histograms = {figure: RadiusHistogram.of(radii, *how) for figure, radii in self.radii.items()}
         return dataclasses.replace(self, radii={}, histograms=histograms, errors_enu=None, codes=None)
+
+    def without_rounding(self) -> Sampled:
+        """The same with all errors zero, which are rounding: of an error model without errors."""
+        runs = tuple(run._replace(sums=np.diag([0.0, 0.0, 0.0, run.sums[3, 3]])) for run in self.runs)
+        _, mean, cov = moments_of(runs, np.zeros(3))
+        histograms = self.histograms
+        if histograms is not None:
+            histograms = {figure: one.of_zeros() for figure, one in histograms.items()}
+        return dataclasses.replace(
+            self,
+            mean_enu=mean,
+            cov_enu=cov,
+            centre_enu=np.zeros(3),
+            radii={figure: np.where(np.isfinite(radii), 0.0, np.inf) for figure, radii in self.radii.items()},
+            errors_enu=None if self.errors_enu is None else np.where(np.isnan(self.errors_enu), np.nan, 0.0),
+            histograms=histograms,
+            runs=runs,
+        )
 
     def region(self, probability: float = 0.9, *, dem: Dem | None = None) -> Region:
         """Highest-density region: the smallest area on the ground that holds the truth with this probability.

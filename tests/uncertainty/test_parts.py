@@ -198,7 +198,10 @@ def test_samples_made_by_hand_are_not_merged(whole) -> None:
     "options, message",
     [
         ({"first": -1}, "first must be the number of a sample, a whole number from 0 on; got -1"),
-        ({"first": 2**32 - 10, "count": 11, "draws": Random()}, "a key has 4294967296 samples; got first 4294967286 and count 11"),
+        (
+            {"first": 2**32 - 10, "count": 11, "draws": Random()},
+            "a key has 4294967296 samples; got first 4294967286 and count 11",
+        ),
         ({"count": 0, "first": 100}, "count must be a whole number of samples"),
         ({"keep": True, "summary": True}, "keep returns every sample, and summary none"),
         ({"timeout": 0.0}, "timeout must be a positive number of seconds"),
