@@ -51,9 +51,15 @@ class Look(NamedTuple):
 def drawn(
     dem: Dem, looks: Cases, i: int, seed: int, first: int, count: int, confidence: float | None = None
 ) -> Sampled:
-    """Samples number `first` to `first + count - 1` of one case."""
+    """Samples number `first` to `first + count - 1` of one case; later ones of another key, as more points of the same
+    scrambles would fill the gaps of the first ones."""
     shot, model = jaxgeo.Shot(item(looks.pose, i)), errors(looks.scale[i])
-    how: dict[str, Any] = {"key": jax.random.key(seed), "figures": ("CE",), "keep": True, "confidence": confidence}
+    how: dict[str, Any] = {
+        "key": jax.random.key(seed if first == 0 else seed + 10**6),
+        "figures": ("CE",),
+        "keep": True,
+        "confidence": confidence,
+    }
     return sample(SENSOR, shot, PIXEL, dem, model, first=first, count=count, **how)
 
 

@@ -127,6 +127,7 @@ def compare(
         raise ValueError(f"digits must be a whole number from 1 to 6; got {digits!r}.")
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
+    model.require_errors("compare")
     is_open = isinstance(sampling, Sampling) and sampling.count is None and sampling.half_width is None
     sampling = resolve_sampling(sampling, SAMPLES)
     nominal = inputs.nominal_fix(search)

@@ -26,10 +26,11 @@ from jaxgeo.uncertainty.batched_rays import (
     perturbed_lines,
     places_of_ground,
 )
-from jaxgeo.uncertainty.chunks import error_stages, rotation_of
-from jaxgeo.uncertainty.draws import AbstractDraws, Random
+from jaxgeo.uncertainty.chunks import error_stages, leading_of
+from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.rotation import Trial, rotation_of
 from jaxgeo.uncertainty.sampling import check_key, checked_draws
 
 
@@ -55,8 +56,8 @@ def error_samples(
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
 ) -> ErrorSamples:
-    """The samples with these numbers (...) that `sample` draws of the same arguments with `key`, up to rounding (1e-8
-    m): a pure function.
+    """The samples with these numbers (...) that `sample` draws of the same arguments with `key` and `draws`, up to
+    rounding (1e-8 m): a pure function. Independent ones by default: `Random()`.
 
     It works under `jit`, `vmap` over any argument, and `jax.export`, also for a symbolic number of indices; call it
     inside of `jit`, with the terrain as an argument. Blocks of 3392 samples are computed at a time. Without a nominal
@@ -71,7 +72,8 @@ def error_samples(
     >>> scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
     >>> import jax
     >>> found = jax.jit(jaxgeo.uncertainty.error_samples)(*scene, jax.random.key(0), np.arange(4))
-    >>> drawn = jaxgeo.sample(*scene, key=jax.random.key(0), count=4, keep=True)
+    >>> same = {"key": jax.random.key(0), "draws": jaxgeo.uncertainty.Random()}
+    >>> drawn = jaxgeo.sample(*scene, **same, count=4, keep=True)
     >>> print(np.max(np.abs(found.errors_enu - drawn.errors_enu)) < 1e-8)
     True
     """
@@ -107,8 +109,13 @@ def _errors_of(
     model = model.at(inputs, nominal)
     places = places_of_ground(model, inputs)
     roots = model.roots()
-    turn = rotation_of(draws, model, roots, inputs, nominal)
-    stages = error_stages(draws, key, model, roots, turn)
+    rotation = None
+    if isinstance(draws, Sobol):
+        trial = Trial.of(draws, model.size, leading_of(model))
+        error_of = (lambda normal: model.draw(roots, normal),)
+        lines = perturbed_lines(model, inputs, places, error_of, jnp.asarray(trial.normal))
+        rotation = rotation_of(trial, lines, inputs, nominal, places, jnp)
+    stages = error_stages(draws, key, model, roots, rotation)
 
     def of_block(numbers: Int[Array, " block"]) -> tuple[Any, Any]:
         lines = perturbed_lines(model, inputs, places, stages, numbers)

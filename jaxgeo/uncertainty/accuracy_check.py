@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -102,12 +104,13 @@ def check_accuracy(
 ) -> AccuracyCheck:
     """The `accuracy` of one fix, and samples of it that are drawn whatever its method: 20 000, or as `sampling` says.
 
-    Where the accuracy is itself by samples, they are the ones after these. Raises as `accuracy` and `sample`. `compare`
+    Where the accuracy is itself by samples, they are those of another key. Raises as `accuracy` and `sample`. `compare`
     shows every method of propagation beside samples.
     """
     options: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
     drawn = resolve_sampling(sampling, SAMPLES)
     found = accuracy(sensor, shot, uv, terrain, errors, probability=probability, sampling=drawn, **options)
-    first = 0 if found.sampled is None else found.sampled.count
-    others = sample(sensor, shot, uv, terrain, errors, sampling=drawn, keep=True, first=first, **options)
+    if found.sampled is not None:  # later points of the same Sobol scrambles would fill the gaps of the first ones
+        drawn = dataclasses.replace(drawn, key=jax.random.fold_in(drawn.random_key, 1))
+    others = sample(sensor, shot, uv, terrain, errors, sampling=drawn, keep=True, **options)
     return AccuracyCheck(found, others)

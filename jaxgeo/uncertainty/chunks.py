@@ -38,11 +38,13 @@ from jaxgeo.uncertainty.batched_rays import (
     places_of_ground,
     search_of_lines,
 )
-from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
+from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Sobol
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.rotation import Rotation, Trial, rotation_of
 
 FEW, MANY = 5 * BLOCK, 37 * BLOCK  # samples of one call on one device, at most; eight calls are a million
+MOST_POINTS = 64  # axes of an error vector: of more, coordinates of Sobol points are no better than independent ones
 LONG_RUN = 4 * FEW  # samples per device from which programs are compiled for speed
 
 HostIndex: TypeAlias = Int[Array | np.ndarray, ""]
@@ -57,7 +59,7 @@ class LinePlan(NamedTuple):
     inputs: ModelInputs
     model: ErrorModel
     roots: tuple[Root, ...]
-    turn: Float[Array, "axes axes"] | None
+    rotation: Rotation | None
     draws: AbstractDraws
     key: Any
     places: Any
@@ -93,14 +95,13 @@ class Size(NamedTuple):
         return STAGE if self.block == BLOCK else self.block
 
     @classmethod
-    def of(cls, count: int, chunk: int, unit: int, devices: tuple[Any, ...]) -> Size:
-        """The size for chunks of at most `chunk` of `count` samples, and at least `unit`; one for many counts."""
+    def of(cls, count: int, chunk: int, devices: tuple[Any, ...]) -> Size:
+        """The size for chunks of at most `chunk` of `count` samples; one for many counts."""
         is_long_run = count > LONG_RUN * len(devices) or by_device(False, True, devices)
         block = block_size(devices)
         blocks = lambda samples: -(-samples // (len(devices) * block))  # noqa: E731
         most = max((MANY if is_long_run else FEW) // block, 1)
-        least = 1 if block % max(unit, 1) == 0 else blocks(unit + 2 * block)  # multiples of `unit` in whole blocks
-        return cls(block * max(min(blocks(chunk), most), least), devices, is_long_run, block)
+        return cls(block * max(min(blocks(chunk), most), 1), devices, is_long_run, block)
 
 
 class Part(NamedTuple):
@@ -155,65 +156,51 @@ def make_plan(
     size: Size,
 ) -> tuple[Plan, Size]:
     """(sampling plan of an observation, its size); the search knows the spread of the lines of sight."""
-    model, roots, turn, places = _evaluated(inputs, nominal, model, draws)
+    model, roots, places = _evaluated(inputs, nominal, model)
+    rotation = Rotation.none(model.size) if isinstance(draws, Sobol) else None
     if has_own_field(places):  # the older emitter does not finish
         size = size._replace(is_long_run=True)
     plan = Plan(
-        LinePlan(inputs, model, roots, turn, draws, key, places),
+        LinePlan(inputs, model, roots, rotation, draws, key, places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
-    trial = draw_lines(plan.lines._replace(key=_trial_key()), Part.of(0, TRIALS, size), size, TRIALS)
+    trial = draw_lines(plan.lines._replace(key=_key_of_trial()), Part.of(0, TRIALS, size), size, TRIALS)
     some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)  # before it goes to the host
     trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
     found = search_of_lines(search, plan.lines.inputs, nominal, trial)
-    return plan._replace(fixes=plan.fixes._replace(search=found)), size
+    plan = plan._replace(fixes=plan.fixes._replace(search=found))
+    if isinstance(draws, Sobol):
+        rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
+        plan = plan._replace(lines=plan.lines._replace(rotation=jax.device_put(rotation)))
+    return plan, size
 
 
 @functools.cache
-def _trial_key() -> Any:
+def _key_of_trial() -> Any:
     return jax.random.key(0)
 
 
 @quick_filter_jit
-def _evaluated(
-    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws
-) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, Any]:
-    """(model at the observation, its roots, rotation for Sobol points, places of the ground's leaves)."""
+def _evaluated(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> tuple[ErrorModel, tuple[Root, ...], Any]:
+    """(model at the observation, its roots, places of the ground's leaves)."""
     model = model.at(inputs, nominal)
-    roots = model.roots()
-    return model, roots, rotation_of(draws, model, roots, inputs, nominal), places_of_ground(model, inputs)
+    return model, model.roots(), places_of_ground(model, inputs)
 
 
-def rotation_of(
-    draws: AbstractDraws, model: ErrorModel, roots: tuple[Root, ...], inputs: ModelInputs, nominal: NominalFix
-) -> Any:
-    """Rotation (axes, axes) of the draws by a model that is evaluated at the observation; None for independent ones."""
-    if not isinstance(draws, Sobol):
-        return None
-    return _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.linear_draw(roots))
+def leading_of(model: ErrorModel) -> int:
+    """How many numbers of a sample come from Sobol points: all where rotated ones do not tell the error alone."""
+    return LEADING if model.is_normal or model.size > MOST_POINTS else model.size
 
 
-def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple[Root, ...], turn: Any) -> Stages:
+def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple[Root, ...], rotation: Any) -> Stages:
     """Functions that, applied in order to the number of a sample, give its error vector."""
-    *others, last = draws.stages(key, model.size)
-
-    def error_of(numbers: Any) -> Float[Array, " axes"]:
-        normal = last(numbers)
-        if turn is not None:
-            normal = jnp.sum(turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
-        return model.draw(roots, normal)
-
-    return *others, error_of
-
-
-def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
-    """Rotation of standard normal vectors after which the leading components displace the fix most."""
-    sound = jnp.all(jnp.isfinite(swept))
-    _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
-    return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
+    *others, last = draws.sample_stages(key, model.size, leading_of(model))
+    if rotation is not None:
+        return *others, last, lambda normal: model.draw(roots, rotation.of(normal))
+    return *others, lambda numbers: model.draw(roots, last(numbers))
 
 
 def draw_lines(plan: LinePlan, part: Part, size: Size, enough: int | None = None) -> PerturbedLines:
@@ -285,7 +272,7 @@ _draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_fi
 
 @eqx.filter_jit
 def _lines_of_step(number: Index, step: int, first: Index, plan: LinePlan) -> tuple[PerturbedLines, tuple[()]]:
-    stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.turn)
+    stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.rotation)
     samples = first + number * step + jnp.arange(step)
     return perturbed_lines(plan.model, plan.inputs, plan.places, stages, samples), ()
 
@@ -376,16 +363,12 @@ def one_ahead(
         yield waiting
 
 
-def chunks(first: int, count: int, size: Size, unit: int, progress: bool) -> Iterator[tuple[int, int]]:
-    """(first sample, number of samples) of the chunks of a part.
-
-    Chunks end at the end of a block if possible, so that no block is drawn twice, and at a multiple of `unit`.
-    """
+def chunks(first: int, count: int, size: Size, progress: bool) -> Iterator[tuple[int, int]]:
+    """(first sample, number of samples) of the chunks of a part; they end at the end of a block, which no two draw."""
     most = size.capacity * len(size.devices)
     parts, end = [], first + count
     while first < end:
-        last = first // size.block * size.block + most
-        last = min(last - last % unit, end)
+        last = min(first // size.block * size.block + most, end)
         parts.append((first, last - first))
         first = last
     if not progress:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import abc
+import functools
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from jaxgeo._checks import concrete, require_x64
@@ -18,13 +20,17 @@ from jaxgeo._typing import IndexField, Numbers
 from jaxgeo.uncertainty import sobol
 
 Vector: TypeAlias = Float[Array, " size"]
-Pairs: TypeAlias = tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
+Pairs: TypeAlias = tuple[Float[Array | np.ndarray, "... pairs"], Float[Array | np.ndarray, "... pairs"]]
 Stage: TypeAlias = Callable[[Any], Any]
+Anywhere: TypeAlias = Array | np.ndarray
 
 
 MORE = "Draw them in several parts."  # appended to messages about too large indices
 OWN = 0x6A617867  # folded into a key, so that other uses of the key draw different numbers
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+WEYL = 0x9E3779B9  # step of the seeds of the scrambles (Steele, Lea and Flood 2014, "Fast splittable generators")
+SEEDS = 2**31  # second counter word of the first seed; independent numbers are counted from 0
+LEADING = 4  # numbers of a sample from Sobol points, two at a time: a fix depends on three to first order
 
 
 class AbstractDraws(Record):
@@ -54,6 +60,10 @@ class AbstractDraws(Record):
         A batch passes each stage as a whole; otherwise the compiler repeats the first stage for each use of the last.
         """
 
+    def sample_stages(self, key: Any, size: int, leading: int) -> tuple[Stage, ...]:
+        """The stages of the standard normal vectors from which `sample` draws, whose first numbers matter most."""
+        return self.stages(key, size)
+
 
 class Random(AbstractDraws):
     """Independent draws, up to 2^32 samples: two at a time, by the Box-Muller transform (1958)."""
@@ -61,22 +71,9 @@ class Random(AbstractDraws):
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Pairs:
             _check(key, index, size, self.most)
-            own = jax.random.key_data(jax.random.fold_in(key, OWN))
-            even = jnp.arange(0, size, 2, dtype=jnp.uint32)
-            numbers = jnp.concatenate([even, even + 1])
-            sample = jnp.full(numbers.shape, jnp.asarray(index).astype(jnp.uint32))
-            centred = _centre(*threefry(own, sample, numbers))
-            return centred[: even.size], centred[even.size :]
+            return _random_pairs(_own_words(key), jnp.asarray(index), size)
 
-        def polar(uniform: Pairs) -> Pairs:
-            centred, turn = uniform
-            return jnp.sqrt(-2.0 * logarithm(0.5 + centred)), turn
-
-        def normal(polar: Pairs) -> Vector:
-            radius, turn = (jnp.repeat(each, 2)[:size] for each in polar)
-            return radius * _cosine_and_sine_in_turn(turn)
-
-        return uniform, polar, normal
+        return uniform, _polar, functools.partial(_normal, size=size)
 
 
 class Sobol(AbstractDraws):
@@ -86,6 +83,9 @@ class Sobol(AbstractDraws):
     a uniform and unbiased sample, best at a power of two of points. The spread between the scrambles' results estimates
     the error of their mean (see `intervals.scrambled_interval`); samples within one scramble are not independent.
     Raises `ValueError` for more than 1024 dimensions.
+
+    `sample` draws the four numbers that displace the fix most from Sobol points, by the Box-Muller transform, and all
+    others independently: a fix depends on three to first order. If errors are not normal, all are from Sobol points.
     """
 
     scrambles: int = eqx.field(static=True, default=16)
@@ -101,51 +101,105 @@ class Sobol(AbstractDraws):
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Vector:
             _check(key, index, size, self.most)
-            directions = jnp.asarray(sobol.direction_numbers(size))
-            index = jnp.asarray(index)
-            point = sobol.sobol_point((index // self.scrambles).astype(jnp.uint32), directions)
-            shift, factor, filling = self._seeds(key, size)[index % self.scrambles]
-            digits = sobol.scramble(point, shift, factor)
-            return _centre(sobol.mirror(digits), sobol.mix(digits ^ filling))
+            return self._points(_own_words(key), jnp.asarray(index), size)
 
         return uniform, normal_quantile
 
-    def _seeds(self, key: Any, size: int) -> UInt32[Array, "scrambles 3 size"]:
-        """Random words of all scrambles; under `vmap` over the index they are drawn once."""
+    def sample_stages(self, key: Any, size: int, leading: int) -> tuple[Stage, ...]:
+        def uniform(index: IndexField) -> tuple[Any, Any]:
+            _check(key, index, size, self.most)
+            return self._mixed_pairs(_own_words(key), jnp.asarray(index), size, leading)
 
-        def of_scramble(number):
-            return jax.random.bits(jax.random.fold_in(key, number), (size, 3), jnp.uint32).T
+        def polar(uniform: tuple[Any, Any]) -> tuple[Any, Any]:
+            return _polar(uniform[0]), _polar(uniform[1])
 
-        return jax.vmap(of_scramble)(jnp.arange(self.scrambles))
+        def normal(polar: tuple[Any, Any]) -> Vector:
+            first = min(size, leading)
+            return jnp.concatenate([_normal(polar[0], first), _normal(polar[1], size - first)])
+
+        return uniform, polar, normal
+
+    def trial(self, count: int, size: int, leading: int) -> np.ndarray:
+        """The first samples (count, size) of `sample_stages` of the key 0, by NumPy."""
+        zero = np.zeros(1, np.uint32)
+        own = threefry((zero, zero), zero, zero + np.uint32(OWN))
+        pairs = self._mixed_pairs(own, np.arange(count), size, leading)
+        centred, turn = (np.concatenate(parts, axis=1) for parts in zip(*pairs, strict=True))
+        radius, angle = np.sqrt(-2.0 * np.log(0.5 + centred)), 2.0 * np.pi * turn
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2).reshape(count, -1)[:, :size]
+
+    def _mixed_pairs(self, own: Any, index: Any, size: int, leading: int) -> tuple[Any, Any]:
+        """Pairs of uniform numbers from Sobol points for the first normal numbers, and independent ones for the others.
+
+        Not joined before they are normal, which would keep the compiler from computing several at once.
+        """
+        pairs = -(-min(size, leading) // 2)
+        points = self._points(own, index, 2 * pairs)
+        return (points[..., 0::2], points[..., 1::2]), _random_pairs(own, index, size - 2 * pairs)
+
+    def _points(self, own: Any, index: Any, size: int) -> Any:
+        """Coordinates in (-1/2, 1/2) of samples. The bits below 2^-32 repeat others, so that points lie anywhere."""
+        axes, zeros = np.uint32(SEEDS) + np.arange(size, dtype=np.uint32), np.zeros(size, np.uint32)
+        seed, other = threefry(own, zeros, axes)
+        index, scrambles = index.astype(np.uint64), np.uint64(self.scrambles)  # without a sign they divide faster
+        table = sobol.point_table(size)
+        table = table if isinstance(index, np.ndarray) else jnp.asarray(table)
+        point = sobol.sobol_point((index // scrambles).astype(np.uint32), table)
+        shift = sobol.mix(seed + (index % scrambles).astype(np.uint32)[..., None] * np.uint32(WEYL))
+        digits = sobol.scramble(point, shift, (shift ^ other) * np.uint32(WEYL))
+        return _centre(sobol.mirror(digits), digits)
+
+
+def _own_words(key: Any) -> Any:
+    return jax.random.key_data(jax.random.fold_in(key, OWN))
+
+
+def _random_pairs(own: Any, index: Any, size: int) -> Pairs:
+    """Pairs of independent uniform numbers in (-1/2, 1/2), enough for `size` normal ones."""
+    even = np.arange(0, max(size, 0), 2, dtype=np.uint32)
+    numbers = np.concatenate([even, even + np.uint32(1)])
+    sample = index.astype(np.uint32)[..., None] + 0 * numbers
+    centred = _centre(*threefry(own, sample, numbers + 0 * sample))
+    return centred[..., : even.size], centred[..., even.size :]
+
+
+def _polar(uniform: Pairs) -> Pairs:
+    centred, turn = uniform
+    return jnp.sqrt(-2.0 * logarithm(0.5 + centred)), turn
+
+
+def _normal(polar: Pairs, size: int) -> Vector:
+    radius, turn = (jnp.repeat(each, 2)[:size] for each in polar)
+    return radius * _cosine_and_sine_in_turn(turn)
 
 
 def threefry(
-    key: UInt32[Array, "2"], first: UInt32[Array, "*shape"], second: UInt32[Array, "*shape"]
-) -> tuple[UInt32[Array, "*shape"], UInt32[Array, "*shape"]]:
+    key: Any, first: UInt32[Anywhere, "*shape"], second: UInt32[Anywhere, "*shape"]
+) -> tuple[UInt32[Anywhere, "*shape"], UInt32[Anywhere, "*shape"]]:
     """Two random words for each pair of counter words: the generator behind JAX's keys, unrolled.
 
     Threefry-2x32-20, Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3". JAX's own version loops over
     the rounds and writes each to memory: three times as slow on a CPU.
     """
-    keys = key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(0x1BD11BDA)
+    keys = key[0], key[1], key[0] ^ key[1] ^ np.uint32(0x1BD11BDA)
     first, second = first + keys[0], second + keys[1]
     for group in range(5):
         for rotation in ROTATIONS[group % 2]:
             first = first + second
             second = (second << rotation | second >> (32 - rotation)) ^ first
         first = first + keys[(group + 1) % 3]
-        second = second + keys[(group + 2) % 3] + jnp.uint32(group + 1)
+        second = second + keys[(group + 2) % 3] + np.uint32(group + 1)
     return first, second
 
 
-def _centre(high: UInt32[Array, " size"], low: UInt32[Array, " size"]) -> Vector:
+def _centre(high: UInt32[Anywhere, "..."], low: UInt32[Anywhere, "..."]) -> Float[Anywhere, "..."]:
     """Numbers in (-1/2, 1/2) from 51 random bits: odd multiples of 2^-52, so never 0 nor an end point, and exact.
 
     The bits form the fraction of a float in [1, 2), which is much cheaper than a conversion of 64-bit integers. The odd
     bit is set in the fraction: XLA would fold it into the 1.5 if it were added later, and lose it.
     """
-    fraction = high.astype(jnp.uint64) << 20 | (low >> 12 | 1).astype(jnp.uint64)
-    return jax.lax.bitcast_convert_type(fraction | jnp.uint64(0x3FF << 52), jnp.float64) - 1.5
+    fraction = high.astype(np.uint64) << 20 | (low >> 12 | 1).astype(np.uint64)
+    return (fraction | np.uint64(0x3FF << 52)).view(np.float64) - 1.5
 
 
 # Polynomial of sin(pi / 2 w) / w in w^2 on [-1, 1] through nine Chebyshev nodes; error below 4e-19.

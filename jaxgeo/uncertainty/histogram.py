@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._record import Record
-from jaxgeo.uncertainty.intervals import Interval, hazen_ranks, quantile_ranks, scrambled_interval
+from jaxgeo.uncertainty.intervals import (
+    Interval,
+    are_many,
+    check_scrambles,
+    hazen_ranks,
+    quantile_ranks,
+    scrambled_interval,
+)
 
 DIGITS = 14  # binary digits of a radius that its bin keeps: bins are a relative 2^-14 wide, or less
 LOWEST, HIGHEST = -14, 28  # powers of two, in m: 61 um, below which all radii share a bin, and 270,000 km
@@ -33,10 +40,10 @@ class RadiusHistogram(Record):
     counts: np.ndarray
 
     @classmethod
-    def of(cls, radii: np.ndarray, groups: int = 1) -> RadiusHistogram:
-        """Histogram of radii in the order of their samples, which belong to the groups in turn."""
+    def of(cls, radii: np.ndarray, groups: int = 1, group_of: np.ndarray | None = None) -> RadiusHistogram:
+        """Histogram of radii, and the group of each; by default they belong to the groups in turn."""
         counter = Counter(groups)
-        counter.add(radii, 0)
+        counter.add(radii, 0, group_of)
         return counter.histogram()
 
     def merge(self, others: Sequence[RadiusHistogram]) -> RadiusHistogram:
@@ -47,11 +54,21 @@ class RadiusHistogram(Record):
         np.add.at(counts, place, np.concatenate([one.counts for one in every]))
         return RadiusHistogram(self.groups, bins, counts)
 
+    def of_zeros(self) -> RadiusHistogram:
+        """The histogram of as many radii, zero where they are finite."""
+        group, number = np.divmod(self.bins, BINS)
+        zeros = group * BINS + np.where(number == BINS - 1, number, 0)
+        return RadiusHistogram(self.groups, zeros, self.counts).merge(())
+
     def interval(self, probability: float, confidence: float) -> Interval:
-        """Quantile and confidence interval, by the ranks of independent samples, or by Sobol scrambles."""
+        """Quantile and confidence interval, as `quantile_interval`, or for groups as `interval_of_scrambles`."""
         if self.groups > 1:
+            pooled = RadiusHistogram(1, self.bins % BINS, self.counts).merge(()).interval(probability, confidence)
+            check_scrambles(self.groups)
+            if not are_many(int(self.counts.sum()), self.groups, probability):
+                return pooled
             each = [self._hazen(group, probability) for group in range(self.groups)]
-            return scrambled_interval(np.array(each), confidence)
+            return scrambled_interval(np.array(each), confidence, pooled)
         low, rank, high = quantile_ranks(int(self.counts.sum()), probability, confidence)
         return Interval(self._at(rank)[1], self._at(low)[0], self._at(high)[2])
 
@@ -91,11 +108,11 @@ class Counter:
     def __init__(self, groups: int = 1) -> None:
         self._groups, self._counts = groups, np.zeros(groups * BINS, np.int64)
 
-    def add(self, radii: np.ndarray, first: int) -> None:
-        """Count the radii of samples from number `first` on; NaN is not allowed."""
+    def add(self, radii: np.ndarray, first: int, group_of: np.ndarray | None = None) -> None:
+        """Count the radii of samples from number `first` on, or of given groups; NaN is not allowed."""
         bins = bins_of(radii)
         if self._groups > 1:
-            bins += (first + np.arange(radii.size)) % self._groups * BINS
+            bins += ((first + np.arange(radii.size)) % self._groups if group_of is None else group_of) * BINS
         np.add.at(self._counts, bins, 1)
 
     def histogram(self) -> RadiusHistogram:

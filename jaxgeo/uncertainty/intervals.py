@@ -9,6 +9,7 @@ import numpy as np
 import scipy  # submodules load lazily
 
 LEAST_SCRAMBLES = 16
+FEWEST_POINTS, FEWEST_BEYOND = 16, 4.0  # of a scramble, and of these beyond its quantile on average; else it is biased
 MANY = 65_536  # number of errors from which a full sort is avoided
 SAMPLE = 16_384
 
@@ -67,6 +68,85 @@ def quantile_ranks(count: int, probability: float, confidence: float) -> tuple[i
     return low, max(1, math.ceil(probability * count * (1.0 - 2.0**-50))), high
 
 
+def interval_of_scrambles(
+    errors: Any, probability: float, confidence: float = 0.95, *, scrambles: int, scramble_of: Any = None
+) -> Interval:
+    """The `probability` quantile of all samples from scrambles of Sobol points, and its confidence interval.
+
+    `scramble_of` (count,) is the scramble of each sample; by default samples are in the order of their numbers. The
+    estimate is that of `quantile_interval`. Samples within one scramble are not independent, so ranks do not apply; the
+    scrambles are independent: the interval is Student's for the mean of their quantiles (`scramble_quantile`). Where
+    scrambles have too few points for that (about 4 above and below the quantile), or too many of them fail, it is that
+    of `quantile_interval`, which is too wide for samples more even than independent ones. Raises as
+    `quantile_interval`, and `ValueError` for fewer than 16 scrambles.
+    """
+    errors = _errors(errors, "errors")
+    check_scrambles(scrambles)
+    pooled = quantile_interval(errors, probability, confidence)
+    if not are_many(errors.size, scrambles, probability):
+        return pooled
+    return scrambled_interval(_scramble_quantiles(errors, probability, scrambles, scramble_of), confidence, pooled)
+
+
+def are_many(count: int, scrambles: int, probability: float) -> bool:
+    """Whether scrambles have enough points for a quantile or share of their own."""
+    points = count // scrambles
+    return points >= FEWEST_POINTS and points * min(probability, 1.0 - probability) >= FEWEST_BEYOND
+
+
+def _scramble_quantiles(errors: np.ndarray, probability: float, scrambles: int, scramble_of: Any) -> np.ndarray:
+    """`scramble_quantile` of each scramble."""
+    if scramble_of is not None:
+        order = np.argsort(scramble_of, kind="stable")
+        each = np.split(errors[order], np.cumsum(np.bincount(scramble_of, minlength=scrambles))[:-1])
+        return np.array([scramble_quantile(one, probability) for one in each])
+    if errors.size >= MANY:
+        near = _near_scramble_quantiles(errors, probability, scrambles)
+        if near is not None:
+            return near
+    points, longer = divmod(errors.size, scrambles)
+    parts = [errors[: errors.size - longer].reshape(points, scrambles).T[longer:]]
+    if longer:
+        filled = np.concatenate([errors, np.empty(scrambles - longer)]).reshape(points + 1, scrambles)
+        parts.insert(0, filled.T[:longer])
+    return np.concatenate([_hazen(np.ascontiguousarray(part), probability) for part in parts])
+
+
+def _near_scramble_quantiles(errors: np.ndarray, probability: float, scrambles: int) -> np.ndarray | None:
+    """As `_scramble_quantiles`, by the errors near the quantile only, as a subsample says; None if that is wrong."""
+    some = np.sort(errors[:: errors.size // SAMPLE])
+    fewest = errors.size // scrambles
+    apart = 6.0 * math.sqrt(probability * (1.0 - probability) * (1.0 / fewest + 1.0 / some.size))
+    first, last = (int((probability + sign * apart) * some.size) for sign in (-1, 1))
+    if first < 0 or last >= some.size:
+        return None
+    by_scramble = lambda places: np.bincount(places % scrambles, minlength=scrambles)  # noqa: E731
+    near = np.flatnonzero((errors >= some[first]) & (errors <= some[last]))
+    points = by_scramble(np.arange(scrambles)) * fewest + (np.arange(scrambles) < errors.size % scrambles)
+    if probability < 0.5:
+        below = by_scramble(np.flatnonzero(errors < some[first]))
+    else:
+        below = points - by_scramble(near) - by_scramble(np.flatnonzero(errors > some[last]))
+    found = np.empty(scrambles)
+    for number in range(scrambles):
+        own = errors[near[near % scrambles == number]]
+        lower, upper, weight = hazen_ranks(int(points[number]), probability)
+        lower, upper = (rank - 1 - below[number] for rank in (lower, upper))
+        if lower < 0 or upper >= own.size:
+            return None
+        ordered = np.partition(own, sorted({lower, upper}))
+        found[number] = ordered[lower] if weight == 0.0 else (1.0 - weight) * ordered[lower] + weight * ordered[upper]
+    return found
+
+
+def _hazen(rows: np.ndarray, probability: float) -> np.ndarray:
+    """`scramble_quantile` of each row."""
+    below, above, weight = hazen_ranks(rows.shape[1], probability)
+    ordered = np.partition(rows, sorted({below - 1, above - 1}), axis=1)
+    lower = ordered[:, below - 1]
+    return lower if weight == 0.0 else (1.0 - weight) * lower + weight * ordered[:, above - 1]
+
+
 def scramble_quantile(errors: Any, probability: float) -> float:
     """The `probability` quantile of one scramble's errors, interpolated between samples.
 
@@ -76,9 +156,7 @@ def scramble_quantile(errors: Any, probability: float) -> float:
     """
     errors = _errors(errors, "errors")
     _check_share(probability, "probability")
-    below, above, weight = hazen_ranks(errors.size, probability)
-    lower, upper = _order(errors, [below - 1, above - 1])
-    return lower if weight == 0.0 else (1.0 - weight) * lower + weight * upper
+    return float(_hazen(errors[None, :], probability)[0])
 
 
 def hazen_ranks(count: int, probability: float) -> tuple[int, int, float]:
@@ -92,41 +170,52 @@ def hazen_ranks(count: int, probability: float) -> tuple[int, int, float]:
     return below, min(below + 1, count), 0.0 if weight < 1e-9 else weight
 
 
-def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:
+def scrambled_interval(per_scramble: Any, confidence: float = 0.95, pooled: Interval | None = None) -> Interval:
     """Mean of the quantiles of at least 16 independent scrambles, and Student's confidence interval.
 
-    Samples within one scramble of Sobol points are not independent, so rank intervals do not apply; the scrambles are
-    independent. `per_scramble` holds the `scramble_quantile` of each. If one is infinite, so is the mean, without
-    bounds. Raises `ValueError` for fewer than 16.
+    `per_scramble` holds the `scramble_quantile` of each. With the quantile of all samples, `pooled`, the interval is
+    one of the same width about that. If one is infinite, the result is `pooled`, or infinite without bounds. Raises
+    `ValueError` for fewer than 16.
     """
     quantiles = _errors(per_scramble, "per_scramble")
     _check_share(confidence, "confidence")
-    if quantiles.size < LEAST_SCRAMBLES:
-        raise ValueError(
-            f"an interval from scrambles needs at least {LEAST_SCRAMBLES} of them, so that their spread is known; got "
-            f"{quantiles.size}. Draw with Sobol(scrambles={LEAST_SCRAMBLES}) or more."
-        )
+    check_scrambles(quantiles.size)
     if not np.all(np.isfinite(quantiles)):
-        return Interval(math.inf, 0.0, math.inf)
-    mean = float(np.mean(quantiles))
+        return Interval(math.inf, 0.0, math.inf) if pooled is None else pooled
+    estimate = float(np.mean(quantiles)) if pooled is None else pooled.estimate
     student = float(scipy.special.stdtrit(quantiles.size - 1, 0.5 * (1.0 + confidence)))
     half = student * float(np.std(quantiles, ddof=1)) / math.sqrt(quantiles.size)
-    return Interval(mean, max(mean - half, 0.0), mean + half)
+    return Interval(estimate, max(estimate - half, 0.0), estimate + half)
 
 
-def share_of(numbers: Any, count: int, confidence: float = 0.95, scrambles: int = 0) -> Share:
-    """The share that the samples with these numbers, from 0 on, are of `count`, and its confidence interval.
+def check_scrambles(scrambles: int) -> None:
+    """Raise `ValueError` for fewer than 16."""
+    if scrambles < LEAST_SCRAMBLES:
+        raise ValueError(
+            f"an interval from scrambles needs at least {LEAST_SCRAMBLES} of them, so that their spread is known; got "
+            f"{scrambles}. Draw with Sobol(scrambles={LEAST_SCRAMBLES}) or more."
+        )
+
+
+def share_of(
+    places: Any, count: int, confidence: float = 0.95, *, scrambles: int = 0, scramble_of: Any = None
+) -> Share:
+    """The share that the samples at these places, from 0 on, are of `count`, and its confidence interval.
 
     Independent samples: Clopper and Pearson 1934, "The use of confidence or fiducial limits illustrated in the case of
-    the binomial". Scrambles of Sobol points: Student's interval of the shares of the scrambles.
+    the binomial". Scrambles of Sobol points: Student's interval from the shares of the scrambles, or Clopper and
+    Pearson's where scrambles have few points within or outside; `scramble_of` as for `interval_of_scrambles`.
     """
-    count, numbers = _whole(count, "count", 1), np.asarray(numbers)
+    count, places = _whole(count, "count", 1), np.asarray(places)
     _check_share(confidence, "confidence")
+    inside, aside = len(places), 0.5 * (1.0 - confidence)
     if scrambles:
-        size = np.bincount(np.arange(count) % scrambles, minlength=scrambles)
-        mean, low, high = scrambled_interval(np.bincount(numbers % scrambles, minlength=scrambles) / size, confidence)
-        return Share(mean, low, min(high, 1.0))
-    inside, aside = len(numbers), 0.5 * (1.0 - confidence)
+        check_scrambles(scrambles)
+    if scrambles and are_many(count, scrambles, inside / count):
+        every = np.arange(count) % scrambles if scramble_of is None else np.asarray(scramble_of)
+        own, all_of = (np.bincount(which, minlength=scrambles) for which in (every[places], every))
+        low, high = scrambled_interval(own / all_of, confidence, Interval(inside / count, 0.0, 1.0))[1:]
+        return Share(inside / count, low, min(high, 1.0))
     low = float(scipy.special.betaincinv(inside, count - inside + 1, aside)) if inside else 0.0
     high = float(scipy.special.betaincinv(inside + 1, count - inside, 1.0 - aside)) if inside < count else 1.0
     return Share(inside / count, low, high)

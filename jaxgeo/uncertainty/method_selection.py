@@ -173,7 +173,12 @@ def select_method(diagnostics: Diagnostics) -> Int[Array, ""]:
     footprint = _agree(diagnostics.footprint, diagnostics.profile, AGREEMENT)
     footprint &= _agree(diagnostics.footprint_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
     code = jnp.where(calm & footprint, Method.footprint.value, Method.samples.value)
-    return jnp.where(calm & facet, Method.facet.value, code)
+    return jnp.where((calm & facet) | _is_exact(diagnostics), Method.facet.value, code)
+
+
+def _is_exact(diagnostics: Any) -> Any:
+    """Whether no error moves the fix, as where all standard deviations are zero."""
+    return (diagnostics.facet == 0.0) & (diagnostics.facet_up == 0.0)
 
 
 def relative_margin(diagnostics: Any) -> Any:
@@ -198,6 +203,8 @@ def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
 
 def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     """Why this method was selected and no cheaper one, with the deciding figures."""
+    if method is Method.facet and bool(_is_exact(diagnostics)):
+        return "No error moves the fix: it is as exact as its input."
     jumps, fails = 100.0 * float(diagnostics.jumps), 100.0 * float(diagnostics.fails)
     circular = _against_profile("CE90", diagnostics.facet, diagnostics.footprint, diagnostics.profile)
     if method is Method.facet:

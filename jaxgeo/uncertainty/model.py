@@ -9,9 +9,10 @@ from typing import NamedTuple, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._checks import as_float64
+from jaxgeo._checks import as_float64, is_known
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers, StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
@@ -99,6 +100,20 @@ class ErrorModel(Record):
     def is_normal(self) -> bool:
         """Whether the errors of all sources are normal."""
         return all(source.is_normal for source in self.sources)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether all standard deviations are zero, and not traced: a fix is then as exact as its input."""
+        sigmas = [source.sigma for source in self.sources]
+        return is_known(sigmas) and not any(np.any(np.asarray(sigma)) for sigma in sigmas)
+
+    def require_errors(self, function: str) -> None:
+        """Raise `ValueError` if all standard deviations are zero."""
+        if self.is_exact:
+            raise ValueError(
+                f"{function}: all standard deviations of the errors are zero, and there is nothing to do: the fix is "
+                "as exact as its input. State at least one that is not."
+            )
 
     @property
     def finite_orders(self) -> float:

@@ -25,12 +25,12 @@ class Failure(NamedTuple):
     reason: str
 
 
-def drawn_together(draw: Callable[[int, int], Sampled], first: int, count: int, unit: int, timeout: float) -> Sampled:
+def drawn_together(draw: Callable[[int, int], Sampled], first: int, count: int, timeout: float) -> Sampled:
     """Samples from number `first` on, of which each process draws a part by `draw(first, count)`.
 
     Raises `RuntimeError` if another process fails, has other arguments, or takes `timeout` seconds longer.
     """
-    shares = divided(first, count, unit, jax.process_count())
+    shares = divided(first, count, jax.process_count())
     mine = shares[jax.process_index()]
     try:
         part: Sampled | Failure | None = draw(*mine) if mine[1] else None
@@ -55,23 +55,22 @@ def drawn_together(draw: Callable[[int, int], Sampled], first: int, count: int, 
         ) from error
 
 
-def divided(first: int, count: int, unit: int, processes: int) -> list[tuple[int, int]]:
-    """(first sample, number of samples) of each process: multiples of `unit`, in whole blocks if possible."""
+def divided(first: int, count: int, processes: int) -> list[tuple[int, int]]:
+    """(first sample, number of samples) of each process, in whole blocks if possible."""
     share, block = -(-count // processes), block_size()
     ends = [first + min(share * (number + 1), count) for number in range(processes)]
-    whole = [end if end == first + count else max(-(-end // block) * block // unit * unit, first) for end in ends]
+    whole = [end if end == first + count else -(-end // block) * block for end in ends]
     ends = [min(end, first + count) for end in whole]
     return [(start, end - start) for start, end in zip([first, *ends[:-1]], ends, strict=True)]
 
 
 def until_sharp(draw: Callable[[int, int], Sampled], first: int, options: Any, step: int) -> Sampled:
     """Samples in rounds of `step`, then 25 % more, until the first figure at 90 % is known to `options.half_width`."""
-    unit, end = max(options.scrambles, 1), first + options.count
-    step = max(step // unit, 1) * unit
+    end = first + options.count
     whole = draw(first, min(step, options.count))
     while whole.runs[-1].end < end and not _is_sharp(whole, options.half_width):
         start = whole.runs[-1].end
-        more = max(step, whole.count // 4 // unit * unit)
+        more = max(step, whole.count // 4)
         whole = whole.merge(draw(start, min(more, end - start)))
     return whole
 

@@ -159,14 +159,14 @@ class ProbabilityMap:
 
 
 class _Samples(NamedTuple):
-    """Samples with ground of `count`: numbers (n,), offsets (n, 3), (row, col) (n, 2) and positions (n, 3)."""
+    """Samples with ground of `count`: places (n,) among them, offsets (n, 3), (row, col) (n, 2), positions (n, 3)."""
 
-    numbers: np.ndarray
+    places: np.ndarray
     offsets: np.ndarray
     rowcol: np.ndarray
     latlonh: np.ndarray
     count: int
-    scrambles: int
+    how: dict[str, Any]
     looking: np.ndarray | None
 
 
@@ -177,7 +177,7 @@ def probability_map(sampled: Sampled, *, dem: Dem | None = None) -> ProbabilityM
     post = frame.post_size()
     density = ground_density(samples.rowcol, post)
     cells = density.rowcol(np.stack(np.divmod(density.index, density.shape[1]), axis=1).astype(float))
-    found = len(samples.numbers) / samples.count
+    found = len(samples.places) / samples.count
     return ProbabilityMap(
         fix=sampled.fix,
         grid=grid,
@@ -197,7 +197,7 @@ def probability_within(sampled: Sampled, polygon: Any) -> Share:
     import shapely  # polygon library, needed by these functions only
 
     area = checked_polygon(polygon)
-    offsets, numbers = _offsets(sampled)
+    offsets, places = _offsets(sampled)
     lon, lat = np.degrees(places_of(sampled.fix, offsets)[:, [1, 0]]).T
     shapely.prepare(area)
     inside = np.zeros(len(lon), bool)
@@ -210,7 +210,7 @@ def probability_within(sampled: Sampled, polygon: Any) -> Share:
                 "the polygon holds no sample, but would with its coordinates exchanged: they must be (longitude, "
                 "latitude) in degrees, and seem to be (latitude, longitude)."
             )
-    return share_of(numbers[inside], sampled.count, sampled.confidence, sampled.scrambles)
+    return share_of(places[inside], sampled.count, **_how(sampled))
 
 
 def checked_probability(probability: Any) -> float:
@@ -256,12 +256,11 @@ def _region(found: ProbabilityMap, probability: float) -> Region:
     pieces = zip(posts.geoms, in_degrees.geoms, in_metres.geoms, strict=True)
     modes = [_mode(*piece, found, members) for piece in pieces]
     modes.sort(key=lambda mode: (-mode.share.value, -mode.area))
-    numbers = samples.numbers[members]
+    places = samples.places[members]
     known = np.zeros(samples.count, bool)
-    known[numbers] = True
+    known[places] = True
     without = np.ones(samples.count, bool)
-    without[samples.numbers] = False
-    how = samples.count, found.confidence, samples.scrambles
+    without[samples.places] = False
     return Region(
         probability=probability,
         fix=found.fix,
@@ -272,9 +271,9 @@ def _region(found: ProbabilityMap, probability: float) -> Region:
         cells=found.cells[:count],
         cell_probability=found.probability[:count],
         modes=tuple(modes),
-        inside=share_of(numbers, *how),
-        outside=share_of(np.flatnonzero(~known), *how),
-        without_ground=share_of(np.flatnonzero(without), *how),
+        inside=share_of(places, samples.count, **samples.how),
+        outside=share_of(np.flatnonzero(~known), samples.count, **samples.how),
+        without_ground=share_of(np.flatnonzero(without), samples.count, **samples.how),
         confidence=found.confidence,
     )
 
@@ -306,7 +305,7 @@ def _mode(piece: Any, in_degrees: Any, in_metres: Any, found: ProbabilityMap, me
     shapely.prepare(piece)
     inside = shapely.contains_xy(piece, *samples.rowcol.T)
     own = np.flatnonzero(inside & members)
-    share = share_of(samples.numbers[own], samples.count, found.confidence, samples.scrambles)
+    share = share_of(samples.places[own], samples.count, **samples.how)
     if not own.size:  # between samples
         own = np.array([np.argmin(np.linalg.norm(samples.rowcol - np.array(piece.centroid.coords[0]), axis=1))])
     lat, lon, height = samples.latlonh[own].mean(axis=0)
@@ -342,29 +341,40 @@ def _beside(offset: np.ndarray, looking: np.ndarray | None) -> str:
 
 
 def _offsets(sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """(offsets (n, 3) from the fix in m, numbers (n,)) of the samples with ground."""
+    """(offsets (n, 3) from the fix in m, places (n,) among all) of the samples with ground."""
     if sampled.errors_enu is None:
         raise ValueError("the samples themselves are needed, and were not kept: sample(..., keep=True) returns them.")
     offsets = np.asarray(sampled.errors_enu) + np.asarray(sampled.centre_enu)
-    numbers = np.flatnonzero(np.isfinite(offsets).all(axis=1))
-    return offsets[numbers], numbers
+    places = np.flatnonzero(np.isfinite(offsets).all(axis=1))
+    return offsets[places], places
+
+
+def _how(sampled: Sampled) -> dict[str, Any]:
+    """What `share_of` needs to know of the samples."""
+    of = {"confidence": sampled.confidence, "scrambles": sampled.scrambles}
+    return of | {"scramble_of": sampled.scramble_of}
 
 
 def _on_grid(sampled: Sampled, dem: Any) -> tuple[_Samples, AbstractGrid]:
     check_is(sampled, Sampled, "sampled", "Make them with jaxgeo.uncertainty.sample.")
     if dem is not None:
         check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
-    offsets, numbers = _offsets(sampled)
-    if len(numbers) < FEWEST:
+    offsets, places = _offsets(sampled)
+    if len(places) < FEWEST:
         raise ValueError(
-            f"a density on the ground needs {FEWEST} samples with ground or more; got {len(numbers)} of "
+            f"a density on the ground needs {FEWEST} samples with ground or more; got {len(places)} of "
             f"{sampled.count}. Draw more, or see why lines of sight find none: {_reasons(sampled)}."
+        )
+    if not np.any(offsets):
+        raise ValueError(
+            "all samples are at the fix, as where all standard deviations are zero: the truth is known to be there, "
+            "and a point has no region and no density."
         )
     terrain = dem if dem is not None else _origin(sampled, "terrain")
     grid = terrain.grid if isinstance(terrain, Dem) else level_grid(sampled.fix)
     found = on_grid(sampled.fix, offsets, grid)
     looking = _looking(sampled)
-    return _Samples(numbers, offsets, found[:, 3:], found[:, :3], sampled.count, sampled.scrambles, looking), grid
+    return _Samples(places, offsets, found[:, 3:], found[:, :3], sampled.count, _how(sampled), looking), grid
 
 
 def _reasons(sampled: Sampled) -> str:

@@ -158,7 +158,7 @@ class Sampler(NamedTuple):
         cls, inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, search: AbstractSearch, sampling: Any
     ) -> Sampler:
         devices = tuple(jax.local_devices() if sampling.devices is None else sampling.devices)
-        size = Size.of(sampling.count, sampling.chunk, sampling.scrambles, devices)
+        size = Size.of(sampling.count, sampling.chunk, devices)
         key = sampling.random_key
         plan, size = make_plan(inputs, nominal, model, sampling.draws, search, key, size)
         values = {"sensor": inputs.sensor, "shot": inputs.motion, "time": inputs.time, "uv": inputs.uv}
@@ -186,13 +186,14 @@ class Sampler(NamedTuple):
         """Samples from number `first` on, until the first figure is known to `half_width`."""
         options = self.options
         tally = _Tally(first, count, options.scrambles, wanted, self.size)
-        parts = chunks(first, count, self.size, max(options.scrambles, 1), options.progress)
+        parts = chunks(first, count, self.size, options.progress)
         for start, number, drawn in one_ahead(self.plan, parts, jnp.asarray(centre), self.size, wanted.keep):
             tally.add(start, number, drawn)
             if half_width is not None and tally.is_sharp(half_width, options.confidence):
                 break
         origin = Origin(**self.values, centre_enu=centre)
-        return tally.result(self.plan.fixes.nominal.fix, centre, options.confidence, origin)
+        found = tally.result(self.plan.fixes.nominal.fix, centre, options.confidence, origin)
+        return found.without_rounding() if self.plan.lines.model.is_exact else found
 
 
 def _draw(
@@ -211,7 +212,7 @@ def _draw_together(sampler: Sampler, wanted: Wanted, first: int, about_mean: boo
 
     def draw(wanted: Wanted, centre: np.ndarray, first: int, count: int) -> Sampled:
         own = lambda first, count: sampler.draw(first, count, wanted, centre)  # noqa: E731
-        return drawn_together(own, first, count, max(options.scrambles, 1), timeout)
+        return drawn_together(own, first, count, timeout)
 
     centre = np.zeros(3)
     if about_mean:

@@ -18,9 +18,8 @@ from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.intervals import (
     Interval,
     Share,
+    interval_of_scrambles,
     quantile_interval,
-    scramble_quantile,
-    scrambled_interval,
     share_of,
 )
 from jaxgeo.uncertainty.origin import Origin
@@ -102,15 +101,15 @@ class Sampled(Record):
 
         Samples without a fix are within none, not even an infinite one. With its confidence interval: of independent
         draws Clopper and Pearson's, of Sobol points Student's over the scrambles. Raises `ValueError` for a figure that
-        was not asked for, a radius that is not positive, and samples whose radii were not kept (`summary`).
+        was not asked for, a negative radius, and samples whose radii were not kept (`summary`).
         """
         self._check_figure(figure)
-        if not radius > 0.0:
-            raise ValueError(f"radius must be a positive length in m; got {radius!r}.")
+        if not radius >= 0.0:
+            raise ValueError(f"radius must be a length in m, 0 or more; got {radius!r}.")
         if self.histograms is not None:
             raise ValueError("the radii of these samples were not kept: sample again without summary.")
-        numbers = np.flatnonzero((self.radii[figure] <= radius) & np.isfinite(self.radii[figure]))
-        return share_of(numbers, self.count, self.confidence, self.scrambles)
+        places = np.flatnonzero((self.radii[figure] <= radius) & np.isfinite(self.radii[figure]))
+        return share_of(places, self.count, self.confidence, scrambles=self.scrambles, scramble_of=self.scramble_of)
 
     @property
     def failed(self) -> float:
@@ -139,6 +138,11 @@ class Sampled(Record):
         """The numbers of the samples (count,), in order."""
         return np.concatenate([np.arange(*each) for each in self.ranges or ((0, self.count),)])
 
+    @property
+    def scramble_of(self) -> np.ndarray | None:
+        """Scramble of each sample (count,); None for independent draws."""
+        return self.numbers % self.scrambles if self.scrambles else None
+
     def merge(self, *others: Sampled) -> Sampled:
         """The samples of this and other parts of one sampling, as if they had been drawn at once.
 
@@ -157,9 +161,27 @@ class Sampled(Record):
         """The same without single samples: counts in bins in place of radii, as drawn with `summary`."""
         if self.histograms is not None:
             return self
-        groups = max(self.scrambles, 1)
-        histograms = {figure: RadiusHistogram.of(radii, groups) for figure, radii in self.radii.items()}
+        how = max(self.scrambles, 1), self.scramble_of
+        histograms = {figure: RadiusHistogram.of(radii, *how) for figure, radii in self.radii.items()}
         return dataclasses.replace(self, radii={}, histograms=histograms, errors_enu=None, codes=None)
+
+    def without_rounding(self) -> Sampled:
+        """The same with all errors zero, which are rounding: of an error model without errors."""
+        runs = tuple(run._replace(sums=np.diag([0.0, 0.0, 0.0, run.sums[3, 3]])) for run in self.runs)
+        _, mean, cov = moments_of(runs, np.zeros(3))
+        histograms = self.histograms
+        if histograms is not None:
+            histograms = {figure: one.of_zeros() for figure, one in histograms.items()}
+        return dataclasses.replace(
+            self,
+            mean_enu=mean,
+            cov_enu=cov,
+            centre_enu=np.zeros(3),
+            radii={figure: np.where(np.isfinite(radii), 0.0, np.inf) for figure, radii in self.radii.items()},
+            errors_enu=None if self.errors_enu is None else np.where(np.isnan(self.errors_enu), np.nan, 0.0),
+            histograms=histograms,
+            runs=runs,
+        )
 
     def region(self, probability: float = 0.9, *, dem: Dem | None = None) -> Region:
         """Highest-density region: the smallest area on the ground that holds the truth with this probability.
@@ -222,7 +244,8 @@ class Sampled(Record):
         """A figure and its confidence interval, for arguments that are known to be valid."""
         if self.histograms is not None:
             return self.histograms[figure].interval(probability, self.confidence)
-        return interval_of_radii(self.radii[figure], probability, self.confidence, self.scrambles)
+        scramble_of = None if len(self.ranges) < 2 else self.scramble_of
+        return interval_of_radii(self.radii[figure], probability, self.confidence, self.scrambles, scramble_of)
 
     def _quantile_of_found(self, figure: str, probability: float) -> float:
         """The figure of the samples with a fix; NaN if there are none."""
@@ -233,12 +256,13 @@ class Sampled(Record):
         return quantile_interval(known, probability)[0] if known.size else np.nan
 
 
-def interval_of_radii(radii: np.ndarray, probability: float, confidence: float, scrambles: int) -> Interval:
+def interval_of_radii(
+    radii: np.ndarray, probability: float, confidence: float, scrambles: int, scramble_of: np.ndarray | None = None
+) -> Interval:
     """Quantile and its confidence interval, from independent draws or from independent scrambles."""
     if not scrambles:
         return quantile_interval(radii, probability, confidence)
-    each = [scramble_quantile(radii[number::scrambles], probability) for number in range(scrambles)]
-    return scrambled_interval(np.array(each), confidence)
+    return interval_of_scrambles(radii, probability, confidence, scrambles=scrambles, scramble_of=scramble_of)
 
 
 def moments_of(runs: Sequence[SampleRun], centre: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:

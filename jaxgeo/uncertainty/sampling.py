@@ -14,12 +14,12 @@ import numpy as np
 
 from jaxgeo._checks import check_countable, is_known
 from jaxgeo._record import portable
-from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Sobol
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 CHUNK = 2**20  # samples: no bound beside those of the programs
-RANDOM = Random()
+SOBOL = Sobol()
 
 
 @portable
@@ -28,8 +28,9 @@ class Sampling:
     """Options of Monte Carlo sampling; None is the default of the function that takes them.
 
     `count` is the number of samples per fix and `key` a `jax.random.key`, by default `jax.random.key(0)`; a sample
-    depends on the key and its number only, up to rounding (1e-8 m) between numbers of devices. `draws` is `Random()` or
-    `Sobol()`, whose points are rotated so that the directions that displace the fix most come first. About `chunk`
+    depends on the key and its number only, up to rounding (1e-8 m) between numbers of devices. `draws` is `Sobol()`,
+    the default, or `Random()` for independent samples. Sobol points fill space evenly: they cut the variance of CE90
+    from 10 000 samples 5 to 20 times, for 5 % more time; figures have intervals from their scrambles. About `chunk`
     samples are drawn at a time, which bounds the memory, on `devices` (default: all of this process); neither changes
     the samples. With a `half_width`, sampling stops when the interval with this `confidence` of the first figure at
     90 % is within that fraction of it on either side (JCGM 101:2008, 7.9), or at `count` samples. `progress` shows
@@ -62,7 +63,7 @@ class Sampling:
 
 
 def resolve_sampling(
-    sampling: Any, count: int, *, least: int = 1, draws: AbstractDraws = RANDOM, chunk: int = CHUNK
+    sampling: Any, count: int, *, least: int = 1, draws: AbstractDraws = SOBOL, chunk: int = CHUNK
 ) -> Sampling:
     """Checked options with the defaults of a function; None draws nothing where `least`, the smallest count, is 0.
 
@@ -89,10 +90,6 @@ def _check(options: Any, least: int) -> None:
         check_key(options.key)
     _check_devices(options.devices)
     checked_draws(options.draws)
-    if options.scrambles and options.count % options.scrambles:
-        raise ValueError(
-            f"count must be a multiple of the {options.scrambles} scrambles of Sobol; got {options.count}."
-        )
     if not 0.0 < options.confidence < 1.0:
         raise ValueError(f"confidence must lie between 0 and 1, such as 0.95; got {options.confidence!r}.")
     if options.half_width is not None and not options.half_width > 0.0:
@@ -129,8 +126,6 @@ def check_numbers(first: Any, sampling: Any) -> int:
     """The number of the first sample; raises `ValueError` unless all can be drawn from `first` on."""
     if not isinstance(first, int | np.integer) or first < 0:
         raise ValueError(f"first must be the number of a sample, a whole number from 0 on; got {first!r}.")
-    if sampling.scrambles and first % sampling.scrambles:
-        raise ValueError(f"first must be a multiple of the {sampling.scrambles} scrambles of Sobol; got {first}.")
     most = sampling.draws.most
     if int(first) + int(sampling.count) > most:
         raise ValueError(

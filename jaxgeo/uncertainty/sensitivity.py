@@ -169,6 +169,7 @@ def sobol_indices(
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
+    model.require_errors("sobol_indices")
     options: Any = resolve_sampling(sampling, SAMPLES, least=2, draws=SOBOL, chunk=CHUNK)
     count, draws, key = options.count, options.draws, options.random_key
     _check_request(options, confidence, resamples)

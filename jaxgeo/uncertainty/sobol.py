@@ -1,21 +1,22 @@
 """Sobol points by index, with nested uniform (Owen) scrambling, in 32-bit integers.
 
-Integers are bit-reversed here, as the scrambling requires: bit 0 has weight 1/2, bit 31 weight 2^-32.
+Integers are bit-reversed here, as the scrambling requires: bit 0 has weight 1/2, bit 31 weight 2^-32. The functions of
+words take arrays of NumPy and of JAX.
 """
 
 from __future__ import annotations
 
 import functools
 import pathlib
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt32
 
 BITS = 32
 _TABLE = pathlib.Path(__file__).resolve().parents[1] / "data" / "joe_kuo_2008.txt"
 
-Words = UInt32[Array, " size"]
+Words = UInt32[Array | np.ndarray, "..."]
 
 
 def direction_numbers(size: int) -> np.ndarray:
@@ -58,11 +59,26 @@ def _mirrored_directions(line: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(int(f"{value:0{k + 1}b}"[::-1], 2) for k, value in enumerate(values))
 
 
-def sobol_point(index: UInt32[Array, ""], directions: UInt32[Array, "size 32"]) -> Words:
-    """Point number `index` of the Sobol sequence, bit-reversed, in integer order (not Gray code order)."""
-    point = jnp.zeros(directions.shape[0], jnp.uint32)
-    for k in range(BITS):
-        point = point ^ (directions[:, k] * (index >> k & 1))
+@functools.lru_cache(maxsize=16)
+def point_table(size: int) -> np.ndarray:
+    """Points (4, 256, size) of the numbers that have bits in one of their four bytes only, bit-reversed.
+
+    Points are linear over the field of two elements: that of any number is the sum of four. Raises as
+    `direction_numbers`.
+    """
+    directions = direction_numbers(size).T.reshape(4, 8, size)
+    table = np.zeros((4, 256, size), np.uint32)
+    for bit in range(8):
+        table[:, 2**bit : 2 ** (bit + 1)] = table[:, : 2**bit] ^ directions[:, bit, None]
+    return table
+
+
+def sobol_point(index: Any, table: Any) -> Any:
+    """Points (..., size) number `index` (...), uint32, of the Sobol sequence, bit-reversed, in integer order (not Gray
+    code order)."""
+    point = table[0][index & np.uint32(255)]
+    for byte in range(1, 4):
+        point = point ^ table[byte][index >> np.uint32(8 * byte) & np.uint32(255)]
     return point
 
 
@@ -73,21 +89,21 @@ def scramble(point: Words, shift: Words, factor: Words) -> Words:
     "Stratified sampling for stochastic transparency"; for Sobol points: Burley 2020, "Practical hash-based Owen
     scrambling"; constants: Vegdahl 2021, "Building a better LK hash".
     """
-    point = point ^ point * jnp.uint32(0x3D20ADEA)
-    point = (point + shift) * (factor | jnp.uint32(1))
-    point = point ^ point * jnp.uint32(0x05526C56)
-    return point ^ point * jnp.uint32(0x53A22864)
+    point = point ^ point * np.uint32(0x3D20ADEA)
+    point = (point + shift) * (factor | np.uint32(1))
+    point = point ^ point * np.uint32(0x05526C56)
+    return point ^ point * np.uint32(0x53A22864)
 
 
 def mirror(words: Words) -> Words:
     """The 32 bits of each word in reverse order."""
     for step, mask in [(1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)]:
-        words = (words >> step) & jnp.uint32(mask) | (words & jnp.uint32(mask)) << step
+        words = (words >> step) & np.uint32(mask) | (words & np.uint32(mask)) << step
     return words >> 16 | words << 16
 
 
 def mix(words: Words) -> Words:
     """Hash of each word in which every bit depends on every other: the finaliser of MurmurHash3, Appleby 2011."""
-    words = (words ^ words >> 16) * jnp.uint32(0x85EBCA6B)
-    words = (words ^ words >> 13) * jnp.uint32(0xC2B2AE35)
+    words = (words ^ words >> 16) * np.uint32(0x85EBCA6B)
+    words = (words ^ words >> 13) * np.uint32(0xC2B2AE35)
     return words ^ words >> 16

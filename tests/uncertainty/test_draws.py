@@ -82,18 +82,18 @@ def test_random_neighbours_are_uncorrelated() -> None:
 def test_points_are_those_of_joe_and_kuo() -> None:
     """In the order of the integers: scipy goes by the Gray code, so that its point n is number n ^ n >> 1."""
     size, count = 1024, 512
-    directions = jnp.asarray(sobol.direction_numbers(size))
+    table = jnp.asarray(sobol.point_table(size))
     number = np.arange(count, dtype=np.uint32)
-    point = jax.vmap(lambda n: sobol.mirror(sobol.sobol_point(n, directions)))(number ^ number >> 1)
+    point = jax.vmap(lambda n: sobol.mirror(sobol.sobol_point(n, table)))(number ^ number >> 1)
     expected = scipy.stats.qmc.Sobol(size, scramble=False, bits=32).random(count)
     np.testing.assert_array_equal(np.asarray(point) * 2.0**-32, expected)
 
 
 def test_points_of_all_32_bits_add_like_their_numbers() -> None:
     """Sobol points are linear over the field of two elements, and their matrices are triangular with full diagonal."""
-    directions = jnp.asarray(sobol.direction_numbers(128))
+    directions, table = sobol.direction_numbers(128), jnp.asarray(sobol.point_table(128))
     a, b = np.random.default_rng(0).integers(0, 2**32, (2, 20), dtype=np.uint32)
-    point = jax.vmap(lambda n: sobol.sobol_point(n, directions))
+    point = jax.vmap(lambda n: sobol.sobol_point(n, table))
     np.testing.assert_array_equal(point(a ^ b), point(a) ^ point(b))
     highest = np.floor(np.log2(np.asarray(directions, np.float64)))
     np.testing.assert_array_equal(highest, np.broadcast_to(np.arange(32), (128, 32)))

@@ -12,7 +12,7 @@ from jax import export
 
 import jaxgeo
 from jaxgeo import ConstantHeight, Exposure, Observation, Pose, Shot, Status
-from jaxgeo.uncertainty import ErrorModel, Sampling, Sobol, error_samples, sample, sources
+from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, error_samples, sample, sources
 from jaxgeo.uncertainty.batched_rays import BLOCK
 from tests.support import looks
 from tests.uncertainty.test_sampled import KEY, MODEL, SCENE, SENSOR, shot
@@ -29,9 +29,9 @@ def errors_of(scene: Any, key: Any, indices: Any) -> Any:
 @pytest.mark.parametrize(
     "scene, draws",
     [
-        (SCENE, None),
-        pytest.param(SCENE, Sobol(), marks=pytest.mark.slow),
-        pytest.param(TERRAIN, None, marks=pytest.mark.slow),
+        (SCENE, Random()),
+        (SCENE, Sobol()),
+        pytest.param(TERRAIN, Random(), marks=pytest.mark.slow),
         pytest.param(TERRAIN, Sobol(), marks=pytest.mark.slow),
     ],
 )
@@ -53,7 +53,7 @@ def test_a_map_over_pixels_keys_and_numbers() -> None:
     found = jax.jit(jax.vmap(jax.vmap(each, (None, None, 0)), (0, 0, None)))(pixels, keys, numbers)
     assert found.errors_enu.shape == (2, 3, 2, 3)
     for k in range(2):
-        expected = sample(*SCENE[:2], pixels[k], *SCENE[3:], key=keys[k], count=6, keep=True).errors_enu
+        expected = sample(*SCENE[:2], pixels[k], *SCENE[3:], key=keys[k], count=6, keep=True, draws=Random()).errors_enu
         np.testing.assert_allclose(found.errors_enu[k].reshape(6, 3), expected, rtol=0, atol=ROUNDING)
 
 
@@ -65,7 +65,7 @@ def test_an_observation_and_shapes_of_numbers() -> None:
     assert alone.errors_enu.shape == (3,)
     assert alone.status.shape == ()
     assert none.errors_enu.shape == (0, 2, 3)
-    expected = sample(*SCENE, key=KEY, count=6, keep=True).errors_enu[5]
+    expected = sample(*SCENE, key=KEY, count=6, keep=True, draws=Random()).errors_enu[5]
     np.testing.assert_allclose(alone.errors_enu, expected, rtol=0, atol=ROUNDING)
 
 
@@ -119,7 +119,7 @@ def test_export_with_a_symbolic_number_of_samples(scene) -> None:
     exported = export.export(jax.jit(errors_of))(*shapes, jax.ShapeDtypeStruct((n,), jnp.int64))
     called = export.deserialize(exported.serialize()).call
     other = jax.random.key(99)
-    expected = sample(*scene, key=other, count=BLOCK + 5, keep=True)
+    expected = sample(*scene, key=other, count=BLOCK + 5, keep=True, draws=Random())
     for count in (1, BLOCK + 5):
         found = called(scene, other, jnp.arange(count))
         assert isinstance(found, jaxgeo.uncertainty.ErrorSamples)

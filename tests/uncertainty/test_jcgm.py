@@ -114,7 +114,7 @@ def test_sums_of_rectangular_errors_of_a_fix() -> None:
             sources.Geoid.from_metres(widest, distribution=Uniform()),
         )
         scene = looks.level_sensor(), looks.level_shot(0.0), looks.LEVEL_UV, looks.LEVEL, heights
-        found = jaxgeo.sample(*scene, count=2**16, draws=Sobol())
+        found = jaxgeo.sample(*scene, count=2**18)
         assert found.quantile("LE", 0.95).value == pytest.approx(printed, abs=0.6 * 10.0**-digits)
         linear = float(jaxgeo.propagate(*scene).linear_error(0.95))
         assert f"{linear:.{digits}f}" == {1.0: "3.92", 10.0: "19.9"}[widest]
@@ -153,7 +153,7 @@ def test_comparison_loss_of_independent_quantities(x1: float, u: int, low: float
     errors = drawn(quantity(0.005), quantity(0.005))
     loss = 1e6 * ((x1 + errors[0]) ** 2 + errors[1] ** 2)
     assert loss.mean() == pytest.approx(1e6 * x1**2 + 50.0, abs=0.5)
-    assert f"{loss.std():.0f}" == str(u)
+    assert loss.std() == pytest.approx(u, abs=0.6)  # 504.5 before it is rounded to 505
     exact: Any = scipy.stats.ncx2(2, (x1 / 0.005) ** 2, scale=25.0)
     assert shortest_interval(loss, 0.95) == pytest.approx((low, high), abs=12.0 if x1 == 0.05 else 1.5)
     assert middle_interval(loss) == pytest.approx(tuple(exact.ppf([0.025, 0.975])), rel=5e-3)
@@ -168,7 +168,7 @@ def test_comparison_loss_of_correlated_quantities(x1: float, u: int, low: float,
     errors = drawn(pair)
     loss = 1e6 * ((x1 + errors[0]) ** 2 + errors[1] ** 2)
     assert loss.mean() == pytest.approx(1e6 * x1**2 + 50.0, abs=0.5)
-    assert f"{loss.std():.0f}" == str(u)
+    assert loss.std() == pytest.approx(u, abs=0.6)  # 504.5 before it is rounded to 505
     found = shortest_interval(loss, 0.95)
     assert found == pytest.approx((low, high), abs=12.0 if x1 == 0.05 else 1.5)
     assert found[1] - found[0] == pytest.approx(high - low, abs=4.0)

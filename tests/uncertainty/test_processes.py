@@ -190,22 +190,19 @@ def test_processes_with_other_arguments_are_an_error() -> None:
 # ---- how samples are divided
 
 
-@pytest.mark.parametrize("unit", [1, 16, 17])
 @pytest.mark.parametrize("processes", [1, 2, 3, 8])
 @pytest.mark.parametrize("first, count", [(0, 1), (0, 5), (0, 10_000), (34, 200_000), (0, 1_000_001)])
-def test_every_sample_is_given_to_one_process(first: int, count: int, processes: int, unit: int) -> None:
-    first, count = first * unit, count * unit
-    shares = shared.divided(first, count, unit, processes)
+def test_every_sample_is_given_to_one_process(first: int, count: int, processes: int) -> None:
+    shares = shared.divided(first, count, processes)
     assert len(shares) == processes
     place = first
     for start, number in shares:
         assert start == place
         assert number >= 0
-        assert number % unit == 0
-        assert start in (first, first + count) or start % BLOCK == 0 or BLOCK % unit != 0
+        assert start in (first, first + count) or start % BLOCK == 0
         place += number
     assert place == first + count
-    assert max(number for _, number in shares) <= -(-count // processes) + BLOCK + unit
+    assert max(number for _, number in shares) <= -(-count // processes) + BLOCK
 
 
 @pytest.mark.costly

@@ -179,7 +179,6 @@ def test_table_and_dict_name_every_group():
     "options, words",
     [
         ({"count": 1}, "count must be a whole number of samples, 2 or more"),
-        ({"count": 500}, "multiple of the 16"),
         ({"chunk": 0}, "1 or more"),
         ({"resamples": 1}, "at least 2"),
         ({"confidence": 95.0}, "0.95"),
