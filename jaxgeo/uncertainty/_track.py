@@ -146,10 +146,10 @@ def checked_errors(
         own.append(model)
     assert common is not None
     shared = shared_errors(common, own)
-    if all(model.is_exact for model in shared.models):
-        raise ValueError("track: all standard deviations of the errors are zero, and looks cannot be weighed by them.")
     if not all(model.size for model in shared.models):
         raise ValueError("errors has only heights of the terrain, which no look at a target free in height depends on.")
+    if all(model.is_exact for model in shared.models):
+        raise ValueError("track: all standard deviations of the errors are zero, and looks cannot be weighed by them.")
     for number, (looks, columns) in enumerate(zip(several, shared.columns, strict=True)):
         fades = np.any(columns[:, sum(shared.counts[:2]) :])
         if fades and len(looks) > 1 and np.ptp(np.asarray(looks.times)) == 0.0:

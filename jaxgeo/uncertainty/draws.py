@@ -163,7 +163,7 @@ def _random_pairs(own: Any, index: Any, size: int) -> Pairs:
     return centred[..., : even.size], centred[..., even.size :]
 
 
-def _polar(uniform: Pairs) -> Pairs:
+def _polar(uniform: Any) -> Pairs:
     centred, turn = uniform
     return jnp.sqrt(-2.0 * logarithm(0.5 + centred)), turn
 

@@ -365,10 +365,11 @@ def _on_grid(sampled: Sampled, dem: Any) -> tuple[_Samples, AbstractGrid]:
             f"a density on the ground needs {FEWEST} samples with ground or more; got {len(places)} of "
             f"{sampled.count}. Draw more, or see why lines of sight find none: {_reasons(sampled)}."
         )
-    if not np.any(offsets):
+    model = _origin(sampled, "errors")
+    if model is not None and model.is_exact:
         raise ValueError(
-            "all samples are at the fix, as where all standard deviations are zero: the truth is known to be there, "
-            "and a point has no region and no density."
+            "all standard deviations of the errors are zero: the truth is at the fix, and a point has no region and no "
+            "density."
         )
     terrain = dem if dem is not None else _origin(sampled, "terrain")
     grid = terrain.grid if isinstance(terrain, Dem) else level_grid(sampled.fix)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -79,7 +80,8 @@ def test_the_first_numbers_are_what_the_fix_depends_on(scene) -> None:
     linear = propagate(*scene)
     size = Size.of(1000, 1000, tuple(jax.devices()[:1]))
     plan, _ = make_plan(inputs, inputs.nominal_fix(FirstHit()), model, Sobol(), FirstHit(), KEY, size)
-    left, right = np.asarray(plan.lines.rotation.factors)
+    rotation: Any = plan.lines.rotation
+    left, right = np.asarray(rotation.factors)
     Q = np.eye(model.size) - left.T @ right
     np.testing.assert_allclose(Q.T @ Q, np.eye(model.size), atol=1e-12)
     by_number = np.asarray(linear.jacobian) @ np.linalg.cholesky(np.asarray(linear.cov_error)) @ Q
