@@ -87,7 +87,7 @@ def test_a_scene_says_what_it_assumes(here: pathlib.Path) -> None:
     told = done("scene", "DJI_0042.JPG", *ELLIPSOID, "-o", "scene.toml")
     assert told["exposure"] == "DJI_0042.JPG"
     lines = pathlib.Path("scene.toml").read_text().splitlines()
-    assert lines[0] == "# DJI_0042.JPG of DJI_0042.JPG"
+    assert lines[0] == "# DJI_0042.JPG"
     assert told["assumed"]
     for one in told["assumed"]:
         assert f"# assumed: {one}" in lines

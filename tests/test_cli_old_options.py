@@ -21,10 +21,19 @@ LINES = {
 
 @pytest.mark.parametrize("line", LINES)
 def test_old_names_become_new_ones(line: str) -> None:
-    words, said = with_new_names(line.split())
+    known = {"--camera-datum", "--dem-datum", "--target-datum"}
+    words, said = with_new_names(line.split(), known)
     assert words == LINES[line]
     renamed = {one for one in line.split() if one not in words}
     assert len(said) == len(renamed)
+
+
+def test_an_old_name_is_left_where_the_new_one_is_no_option() -> None:
+    line = ["study", "li2020", "--height-datum", "ellipsoid"]
+    assert with_new_names(line, {"--seed"}) == (line, [])
+    result = CliRunner().invoke(app, line)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("jaxgeo: --height-datum: no such option")
 
 
 def test_an_old_name_is_understood_and_told_once(tmp_path, monkeypatch) -> None:

@@ -51,7 +51,8 @@ class Commands(TyperGroup):
         if not standalone_mode:
             return super().main(**given, **extra)
         forget()
-        words, renamed = with_new_names(sys.argv[1:] if args is None else args)
+        words = sys.argv[1:] if args is None else args
+        words, renamed = with_new_names(words, _options_of(self, words))
         if not {"--quiet", "-q"} & set(words):
             for one in renamed:
                 print_message(one)
@@ -158,6 +159,16 @@ def _name(param: Any) -> str:
 def _meaning(param: Any) -> str:
     text = (getattr(param, "help", None) or "it is required").strip()
     return text if text.endswith(".") else f"{text}."
+
+
+def _options_of(group: Any, words: Sequence[str]) -> set[str]:
+    """The options of the command that a command line names."""
+    for word in words:
+        command = getattr(group, "commands", {}).get(word)
+        if command is None:
+            break
+        group = command
+    return {one for param in getattr(group, "params", ()) for one in param.opts}
 
 
 def _options(context: Any) -> list[str]:

@@ -127,6 +127,7 @@ def inputs_of(
 def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[np.ndarray] | None]:
     """(observations, outlines of detections in pixels)."""
     from jaxgeo.io import read_observations
+    from jaxgeo.io.acquisitions.several import files_of
     from jaxgeo.io.detected import observations_of_detections
     from jaxgeo.io.detections import read_detections
 
@@ -148,7 +149,8 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
         )
     if detections is None:
         return found, None
-    return observations_of_detections(found, detections, anchor=given.anchor or "centre")
+    files = files_of(options.files)[0]
+    return observations_of_detections(found, detections, anchor=given.anchor or "centre", files=files)
 
 
 def _assumed(observed: jaxgeo.io.Observations, options: LocateOptions) -> tuple[list[str], list[str]]:

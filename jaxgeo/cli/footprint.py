@@ -12,7 +12,7 @@ import typer
 from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import numbers_or_texts
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
@@ -21,6 +21,7 @@ from jaxgeo.cli._options import DemFiles, DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
+HIT = "hit"  # the status of a whole footprint
 ENDINGS = (".geojson", ".json", ".gpkg")
 COLUMNS = {
     "shot": ("shot", "d"),
@@ -69,6 +70,8 @@ def footprint_command(
         check_no_overwrite("--output", output, given.inputs(how), dem, reading)
         exposures, rows, outlines = _footprint((given, how), dem, reading, output, (crs, tolerance, edges))
         _show(exposures, rows, outlines, inputs if as_json else None)
+    if not any(row["status"] == HIT for row in rows):
+        raise typer.Exit(NO_ANSWER)
 
 
 def _check_output(output: pathlib.Path) -> None:

@@ -14,7 +14,7 @@ import typer
 from jaxgeo._destination import destination, is_device
 from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures, sensors_differ
@@ -39,6 +39,7 @@ CAPTION = (
     "near, far, least: along-track overlap at near edge, far edge, minimum, as a share of the first image's length; "
     "side: cross-track overlap, as a share of its width; area: share of its area"
 )
+HIT = "hit"
 BOTH = "Both footprints are complete and overlap."
 
 
@@ -97,6 +98,8 @@ def overlap_command(
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
             print_json("overlap", {"inputs": inputs, "pairs": pairs, "unread": images.unread})
+    if not any(row["status"] == HIT for row in rows):
+        raise typer.Exit(NO_ANSWER)
 
 
 def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:

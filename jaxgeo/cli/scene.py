@@ -73,7 +73,8 @@ def write_scene_of(
     observation, sources = observed.at(0)
     look = observation.exposure
     assumed = list(map(as_typed, observed.assumed)) + [sentence for _, sentence in observed.assumed_errors]
-    comment = "\n".join([f"{names[0]} of {file.name}", *(f"assumed: {one}" for one in assumed)])
+    named = file.name if names[0] == file.name else f"{names[0]} of {file.name}"
+    comment = "\n".join([named, *(f"assumed: {one}" for one in assumed)])
     assert isinstance(look.motion, Shot)
     left_out = write_scene(
         output, look.sensor, look.motion, sources=sources, atmosphere=look.atmosphere, comment=comment

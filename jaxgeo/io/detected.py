@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import pathlib
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,12 +17,17 @@ from jaxgeo.io.acquisitions import Unread
 from jaxgeo.io.detections import Detection
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.observations import ObservationBatch, Observations, frame_camera_of
+from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.observation import Observation
 from jaxgeo.status import Status, counts_as_fix
 
 ANCHORS = ("centre", "bottom")
 PIECES = 32  # of an outline, at least: edges are straight in the image, and follow the ground in these pieces
-INPUTS = ("name", "time_s", "u", "v")  # columns that attributes of a detection do not replace
+INPUTS = ("name", "time_s", "u", "v")  # columns of the exposures
+FIGURE = re.compile(r"(ce|le|se)[0-9_]+_m|semi_.*|cov_.*|bias_.*")
+
+
+Path = str | os.PathLike[str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,19 +41,21 @@ class DetectedOutlines:
 
 
 def observations_of_detections(
-    observed: Observations, detections: Sequence[Detection], *, anchor: str = "centre"
+    observed: Observations, detections: Sequence[Detection], *, anchor: str = "centre", files: Sequence[Path] = ()
 ) -> tuple[Observations, list[np.ndarray]]:
     """(a row for each detection, its vertices (n, 2) in pixels) in exposures that were read with one pixel each.
 
-    Exposures are found by name: as written, else without folders, else without extension. A detection in an image that
-    is not among them, or is so twice, becomes a row that is `unread`. `anchor` is the pixel that is located of a box or
+    Exposures are found by the name of their file, with or without extension, and with as many of its folders as a
+    detection names; `files` are the files as they were read. A detection in an image that is not among them, or is so
+    twice, becomes a row that is `unread`. Attributes of a detection that are named as a column of fixes become
+    `detected_...`; `detected_as` is "point", "box" or "polygon". `anchor` is the pixel that is located of a box or
     polygon: its "centre", or the middle of its lower edge ("bottom"), where an upright object stands.
 
     Raises `ValueError` for another anchor, `TableError` if no detection is in any of the exposures.
     """
     if anchor not in ANCHORS:
         raise ValueError(f"anchor must be 'centre' or 'bottom'; got {anchor!r}.")
-    rows_of = _rows_by_name(observed)
+    rows_of = _rows_by_name(observed, files)
     where = {int(row): (k, i) for k, batch in enumerate(observed.batches) for i, row in enumerate(batch.rows)}
     lanes: list[list[tuple[int, int]]] = [[] for _ in observed.batches]
     columns: list[dict[str, Any]] = []
@@ -55,34 +64,43 @@ def observations_of_detections(
     pixels: list[np.ndarray] = []
     for number, one in enumerate(detections):
         found = _rows_named(one.image, rows_of)
-        own = {name: value for name, value in one.attributes.items() if name not in INPUTS}
+        own = {f"detected_{name}" if _is_taken(name) else name: value for name, value in one.attributes.items()}
+        own["detected_as"] = one.kind
         place = where.get(found[0]) if len(found) == 1 else None
+        corners, refusal = np.zeros((0, 2)), None
         if place is None:
-            reason = "no exposure has this name" if not found else f"{len(found)} exposures have this name"
+            several = f"{len(found)} exposures have this name; name the folder too"
+            reason = several if found else "no exposure has this name"
+            refusal = _refused(f"{one.image}: {reason}.")
+        else:
+            camera = frame_camera_of(observed.batches[place[0]].sensor)
+            try:
+                corners = one.of_size(camera.width, camera.height)
+            except TableError as error:
+                refusal = error
+        if place is None or refusal is not None:
             failed = observed.unread.get(found[0]) if len(found) == 1 else None
-            unread[number] = failed or Unread(one.image, _refused(f"{one.image}: {reason}."), number)
+            unread[number] = failed or Unread(one.image, refusal or _refused(one.image), number)
             columns.append({"name": one.image, "u": None, "v": None, **own})
             vertices.append(np.zeros((0, 2)))
             pixels.append(np.full(2, np.nan))
             continue
         batch, index = place
-        camera = frame_camera_of(observed.batches[batch].sensor)
-        corners = one.of_size(camera.width, camera.height)
         pixel = one.pixel_of(corners, anchor)
         lanes[batch].append((number, index))
         columns.append({**observed.columns[found[0]], "u": float(pixel[0]), "v": float(pixel[1]), **own})
         vertices.append(corners)
         pixels.append(pixel)
     if not any(lanes):
-        names = ", ".join(sorted(rows_of)[:3])
+        names = ", ".join([str(row.get("name")) for row in observed.columns][:3])
         raise TableError(f"{detections[0].image}: no detection is in an image that was read, such as {names}.")
     batches = tuple(
         _batch(batch, np.array(lane), np.stack([pixels[row] for row, _ in lane]))
         for batch, lane in zip(observed.batches, lanes, strict=True)
         if lane
     )
-    names = sorted({name for row in columns for name in row}, key=list(columns[0]).index if len(columns) == 1 else str)
-    order = [name for name in INPUTS if name in names] + [name for name in names if name not in INPUTS]
+    names = dict.fromkeys((*INPUTS, *(name for row in columns for name in row)))
+    order = [name for name in names if any(name in row for row in columns)]
     columns = [{name: row.get(name) for name in order} for row in columns]
     return dataclasses.replace(observed, batches=batches, columns=columns, unread=unread), vertices
 
@@ -142,6 +160,14 @@ def _dense(corners: np.ndarray) -> np.ndarray:
     )  # fmt: skip
 
 
+def _is_taken(name: str) -> bool:
+    """Whether a column of fixes has a name."""
+    more = ("index", "kind", "status_text", "probability", "azimuth_deg", "accuracy_method", "accuracy_text", "mgrs",
+            "outline", "outline_status", "detection", "crs", "vertical_datum", "fid", "geom", "geometry", "ellipse",
+            "map_x", "map_y", "map_z", "detected_as")  # fmt: skip
+    return name in (*INPUTS, *FIX_COLUMNS, *more) or FIGURE.fullmatch(name) is not None
+
+
 def _refused(message: str) -> TableError:
     """A refusal as one that was raised."""
     try:
@@ -150,16 +176,25 @@ def _refused(message: str) -> TableError:
         return error
 
 
-def _rows_by_name(observed: Observations) -> dict[str, list[int]]:
-    """Rows of exposures by name: as written, without folders, and without extension."""
-    found: dict[str, list[int]] = {}
+def _rows_by_name(observed: Observations, files: Sequence[Path]) -> dict[str, list[tuple[tuple[str, ...], int]]]:
+    """By the name of the file of an exposure, with and without extension: (its folders, row) of each."""
+    paths = {str(path): path for path in map(pathlib.Path, files)}
+    by_name: dict[str, list[pathlib.Path]] = {}
+    for path in paths.values():
+        by_name.setdefault(path.name, []).append(path)
+    found: dict[str, list[tuple[tuple[str, ...], int]]] = {}
     for row, column in enumerate(observed.columns):
         name = str(column.get("name", row))
-        for key in dict.fromkeys((name, pathlib.PurePath(name).name, pathlib.PurePath(name).stem)):
-            found.setdefault(key, []).append(row)
+        same = [paths[name]] if name in paths else by_name.get(name, [])
+        path = same[0].absolute() if len(same) == 1 else pathlib.PurePath(name)
+        for key in dict.fromkeys((path.name, path.stem)):
+            found.setdefault(key, []).append((path.parent.parts, row))
     return found
 
 
-def _rows_named(image: str, rows_of: dict[str, list[int]]) -> list[int]:
+def _rows_named(image: str, rows_of: dict[str, list[tuple[tuple[str, ...], int]]]) -> list[int]:
+    """Rows of exposures whose file has a name, in the folders that are named with it."""
     path = pathlib.PurePosixPath(image.replace("\\", "/"))
-    return next((rows_of[key] for key in (image, path.name, path.stem) if key in rows_of), [])
+    folders = path.parent.parts
+    same = rows_of.get(path.name, [])
+    return [row for own, row in same if not folders or own[-len(folders) :] == folders]

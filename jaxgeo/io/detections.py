@@ -5,8 +5,9 @@ them.
 - GeoJSON: points and polygons in pixels (column, row), with the property `image`; other properties are kept.
 - COCO (Lin et al. 2014, "Microsoft COCO: common objects in context"): `images`, `annotations` with `bbox` (left, top,
   width, height) or polygons as `segmentation`, `categories`.
-- YOLO: a folder with a file NAME.txt for each image, rows of `class x y width height [confidence]` or
-  `class x1 y1 x2 y2 x3 y3 ...`, as shares of width and height of the image; names of classes in classes.txt.
+- YOLO: a folder with a file NAME.txt for each image, rows of `class x y width height [confidence] [track]` or
+  `class x1 y1 x2 y2 x3 y3 x4 y4 ...`, as shares of width and height of the image; names of classes in classes.txt. A
+  row of seven numbers may be a box or a triangle, and is refused if the last is a whole number. Not key points.
 
 Pixel (0, 0) is the centre of the first pixel in CSV and GeoJSON, unless its corner is asked for. In COCO and YOLO it is
 always the outer corner.
@@ -32,6 +33,7 @@ from jaxgeo.io.errors import TableError
 ORIGINS = {"centre": 0.0, "corner": 0.5}  # pixels from the first pixel's centre back to the origin
 PIXELS: Limits = (-1e6, 1e6, "pixels")
 BOX = ("u_min", "v_min", "u_max", "v_max")
+SAME_SHAPE = 0.01  # relative difference of the ratios of sides, from rounding when an image is resized
 CLASSES = "classes.txt"
 IMAGE = ("image", "file_name", "filename")  # properties that name the image
 
@@ -44,6 +46,8 @@ class Detection:
     - `kind`: "point", "box" or "polygon"; `vertices` (n, 2) are column and row, centres of pixels at integers, or
       shares of the image's width and height from its corner if `is_share`.
     - `attributes`: what else the file says, such as `label` and `score`.
+    - `size`: width and height of the image as the file states them, or None.
+    - `pixel`: the pixel (2,) that the file states beside a box, or None.
     """
 
     image: str
@@ -51,13 +55,33 @@ class Detection:
     vertices: np.ndarray
     attributes: dict[str, Any]
     is_share: bool = False
+    size: tuple[int, int] | None = None
+    pixel: np.ndarray | None = None
 
     def of_size(self, width: int, height: int) -> np.ndarray:
-        """Vertices (n, 2) in pixels of an image of a size in pixels."""
-        return self.vertices * [width, height] - 0.5 if self.is_share else self.vertices
+        """Vertices (n, 2) in pixels of an image of a size in pixels; what lies outside of it is cut off.
+
+        Where the file states another size of the same shape, coordinates are scaled. Raises `TableError` for one of
+        another shape.
+        """
+        vertices = self.vertices
+        if self.is_share:
+            vertices = vertices * [width, height] - 0.5
+        elif self.size is not None and self.size != (width, height):
+            across, down = width / self.size[0], height / self.size[1]
+            if abs(across / down - 1.0) > SAME_SHAPE:
+                raise TableError(
+                    f"{self.image}: {self.size[0]} x {self.size[1]} pixels in the file of detections, and {width} x "
+                    f"{height} here: another image, or a part of it."
+                )
+            vertices = (vertices + 0.5) * [across, down] - 0.5
+        return vertices if self.kind == "point" else _cut(vertices, self.kind, width, height)
 
     def pixel_of(self, vertices: np.ndarray, anchor: str) -> np.ndarray:
-        """The pixel (2,) that stands for the detection: its centre (of area), or the middle of its lower edge."""
+        """The pixel (2,) that stands for the detection: the one stated, its centre (of area), or the middle of its
+        lower edge."""
+        if self.pixel is not None:
+            return self.pixel
         if anchor == "bottom" and self.kind != "point":
             (left, _), (right, bottom) = vertices.min(axis=0), vertices.max(axis=0)
             return np.array([0.5 * (left + right), bottom])
@@ -110,8 +134,12 @@ def _table(path: pathlib.Path, back: float) -> list[Detection]:
         )
     names = BOX if has_box else ("u", "v")
     numbers = np.stack([table.numbers(name, PIXELS) for name in names], axis=-1) - back
+    middles = None
+    if has_box and has_point:
+        middles = np.stack([table.numbers(name, PIXELS) for name in ("u", "v")], axis=-1) - back
     rows = table.rows
-    others = {name: numbers_or_texts([row[name] for row in rows]) for name in rows[0] if name not in ("image", *names)}
+    own = ("image", "u", "v", *names)
+    others = {name: numbers_or_texts([row[name] for row in rows]) for name in rows[0] if name not in own}
     found = []
     for index, (row, values) in enumerate(zip(rows, numbers, strict=True)):
         if not row["image"].strip():
@@ -120,7 +148,8 @@ def _table(path: pathlib.Path, back: float) -> list[Detection]:
             raise table.wrong(index, "u_max", "the box has no area; expected u_min < u_max and v_min < v_max.")
         rest = {name: cells[index] for name, cells in others.items()}
         vertices = _box(values.tolist()) if has_box else values[None, :]
-        found.append(Detection(row["image"].strip(), "box" if has_box else "point", vertices, rest))
+        pixel = None if middles is None else middles[index]
+        found.append(Detection(row["image"].strip(), "box" if has_box else "point", vertices, rest, pixel=pixel))
     return found
 
 
@@ -156,7 +185,9 @@ def _coco(path: pathlib.Path, content: Any) -> list[Detection]:
         )
     if not isinstance(content, dict) or "annotations" not in content or "images" not in content:
         raise TableError(f"{path}: neither GeoJSON (features) nor COCO (images and annotations).")
-    images = {one.get("id"): one.get("file_name") for one in _list(path, content, "images") if isinstance(one, dict)}
+    stated = [one for one in _list(path, content, "images") if isinstance(one, dict)]
+    images = {one.get("id"): one.get("file_name") for one in stated}
+    sizes = {one.get("id"): _size_of(one) for one in stated}
     labels = {one.get("id"): one.get("name") for one in content.get("categories") or [] if isinstance(one, dict)}
     found = []
     for number, one in enumerate(_list(path, content, "annotations"), 1):
@@ -167,16 +198,39 @@ def _coco(path: pathlib.Path, content: Any) -> list[Detection]:
         rest = {"label": labels.get(one.get("category_id"), one.get("category_id")), "score": one.get("score")}
         rest |= {"id": one.get("id")}
         shape = one.get("segmentation")
-        parts = shape if isinstance(shape, list) else []
+        parts, size = shape if isinstance(shape, list) else [], sizes[one.get("image_id")]
         if len(parts) == 1 and isinstance(parts[0], list) and len(parts[0]) >= 6 and len(parts[0]) % 2 == 0:
             vertices = _pairs(where, list(zip(parts[0][::2], parts[0][1::2], strict=True)))
-            found.append(_checked(where, image, "polygon", vertices - 0.5, rest))
+            polygon = _checked(where, image, "polygon", vertices - 0.5, rest)
+            found.append(dataclasses.replace(polygon, size=size))
             continue
         bounds = one.get("bbox")
         left, top, width, height = _numbers(where, bounds, 4, "bbox (left, top, width, height)")
         vertices = _box((left, top, left + width, top + height)) - 0.5
-        found.append(_checked(where, image, "box", vertices, rest))
+        found.append(dataclasses.replace(_checked(where, image, "box", vertices, rest), size=size))
     return found
+
+
+def _size_of(image: Mapping[str, Any]) -> tuple[int, int] | None:
+    width, height = image.get("width"), image.get("height")
+    if isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0:
+        return width, height
+    return None
+
+
+def _cut(vertices: np.ndarray, kind: str, width: int, height: int) -> np.ndarray:
+    """A box or polygon without what lies outside an image; as it is if all of it does."""
+    low, high = np.array([-0.5, -0.5]), np.array([width, height]) - 0.5
+    if np.all((vertices >= low) & (vertices <= high)):
+        return vertices
+    if kind == "box":
+        cut = np.clip(vertices, low, high)
+        return cut if np.all(np.ptp(cut, axis=0) > 0.0) else vertices
+    import shapely
+
+    inside = shapely.clip_by_rect(shapely.Polygon(vertices), *low, *high)
+    parts = [one for one in shapely.get_parts(inside) if one.geom_type == "Polygon" and one.area > 0.0]
+    return np.asarray(max(parts, key=shapely.area).exterior.coords)[:-1, :2] if parts else vertices
 
 
 def _yolo(folder: pathlib.Path) -> list[Detection]:
@@ -198,14 +252,25 @@ def _yolo(folder: pathlib.Path) -> list[Detection]:
             kind, values = values[0], values[1:]
             label = labels[int(kind)] if kind == int(kind) and 0 <= kind < len(labels) else f"{kind:g}"
             rest: dict[str, Any] = {"label": label.strip(), "score": None}
+            if len(values) == 6 and values[5] == int(values[5]):
+                raise TableError(
+                    f"{where}: 7 numbers, which may be a box with confidence and track number, or a triangle; leave "
+                    f"the track number out, or write the triangle as a polygon of four points."
+                )
             if len(values) in (4, 5):
                 x, y, width, height = values[:4]
-                rest["score"] = values[4] if len(values) == 5 else None
+                more = values[4] if len(values) == 5 else None
+                is_track = more is not None and more > 1.0 and more == int(more)
+                rest["score"] = None if is_track else more
+                rest |= {"track": int(more)} if is_track and more is not None else {}
                 vertices, form = _box((x - width / 2, y - height / 2, x + width / 2, y + height / 2)), "box"
             elif len(values) >= 6 and len(values) % 2 == 0:
                 vertices, form = np.array(values).reshape(-1, 2), "polygon"
             else:
-                raise TableError(f"{where}: {len(values) + 1} numbers; expected class x y width height [confidence].")
+                raise TableError(
+                    f"{where}: {len(values) + 1} numbers; expected class x y width height [confidence], or class and "
+                    f"the points of a polygon, x and y of each."
+                )
             if np.max(np.abs(vertices)) > 2.0:
                 raise TableError(f"{where}: coordinates are shares of the image, from 0 to 1; these are larger.")
             found.append(dataclasses.replace(_checked(where, path.stem, form, vertices, rest), is_share=True))

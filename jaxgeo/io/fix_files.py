@@ -10,7 +10,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import shapely
 from shapely.geometry.base import BaseGeometry
 
 from jaxgeo._checks import check_is, require_x64
@@ -22,6 +21,7 @@ from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_f
 from jaxgeo.io._fix_formats import KML_WRITERS, PLACE, WGS84, WRITERS, FixTable
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
+from jaxgeo.io._outlines import outline
 from jaxgeo.io.geoid import EGM96, degrees_of
 from jaxgeo.status import Status
 
@@ -239,8 +239,7 @@ def _detected(
         if ring is None:
             found.append(None)
             continue
-        polygon = shapely.Polygon(chart.points(name, *np.asarray(ring, np.float64).T)[:, :2])
-        found.append(polygon if polygon.is_valid else shapely.make_valid(polygon))
+        found.append(outline(chart.points(name, *np.asarray(ring, np.float64).T)[:, :2], chart.turn))
     return tuple(found)
 
 

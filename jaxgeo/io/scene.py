@@ -267,12 +267,17 @@ def lonlat_of_pose(table: PoseTable) -> tuple[float, float]:
     if table.lon_deg is not None and table.lat_deg is not None:
         return table.lon_deg, table.lat_deg
     assert table.map_crs is not None
-    found = transformer_of_map(table.map_crs).transform(table.easting_m, table.northing_m)
-    lon, lat = (float(one) for one in found[:2])
+    x, y = (length / metres_of_map(table.map_crs) for length in (table.easting_m or 0.0, table.northing_m or 0.0))
+    lon, lat = (float(one) for one in transformer_of_map(table.map_crs).transform(x, y)[:2])
     if not (math.isfinite(lon) and math.isfinite(lat)):
         place = f"easting_m = {table.easting_m:.10g}, northing_m = {table.northing_m:.10g}"
         raise ValueError(f"[pose] {place} is no place on the map {table.map_crs!r}.")
     return lon, lat
+
+
+def metres_of_map(map_crs: str) -> float:
+    """The unit of a map, in m. Raises `ValueError`."""
+    return float(_projected(map_crs).axis_info[0].unit_conversion_factor)
 
 
 def transformer_of_map(map_crs: str) -> pyproj.Transformer:
@@ -337,6 +342,10 @@ def _projected(map_crs: str) -> pyproj.CRS:
         raise ValueError(
             f"[pose] map_crs = {map_crs!r} is unknown to PROJ; expected for example 'EPSG:32617'."
         ) from error
+    if crs.is_compound:
+        raise ValueError(
+            f"[pose] map_crs = {map_crs!r} has a vertical part, which is for height_datum; give the map alone."
+        )
     if not crs.is_projected:
         raise ValueError(f"[pose] map_crs = {map_crs!r} ({crs.name}) is no map; expected a projected CRS.")
     return crs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+import tempfile
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_ned
 from jaxgeo.io._schema import READINGS
+from jaxgeo.io.errors import one_line
 from jaxgeo.io.errors_writer import errors_table
 from jaxgeo.io.scene import KINDS, SceneError, read_scene
 from jaxgeo.rotations import heading_pitch_roll_from_R
@@ -97,11 +99,12 @@ def write_scene(
         whole["errors"] = errors_table(ErrorModel(tuple(errors)))
     document = tomlkit.document()
     for line in comment.splitlines():
-        document.add(tomlkit.comment(line))
+        document.add(tomlkit.comment(one_line(line)))
     document.update(whole)
+    text = tomlkit.dumps(document)
+    _check_same(pathlib.Path(path), text, sensor, shot)
     with destination("path", pathlib.Path(path)) as stream:
-        stream.write(tomlkit.dumps(document))
-    _check_same(pathlib.Path(path), sensor, shot)
+        stream.write(text)
     return tuple(said)
 
 
@@ -182,9 +185,15 @@ def _air(air: Atmosphere | None) -> Table:
     return {"air": {"sea_level_m": float(np.asarray(air.sea_level))}}
 
 
-def _check_same(path: pathlib.Path, sensor: Sensor, shot: Shot) -> None:
-    """Raises `SceneError`, and removes the file, if its lines of sight are others."""
-    scene = read_scene(path)
+def _check_same(path: pathlib.Path, text: str, sensor: Sensor, shot: Shot) -> None:
+    """Raises `SceneError` if the text is no scene, or has other lines of sight."""
+    with tempfile.TemporaryDirectory() as folder:
+        trial = pathlib.Path(folder) / "scene.toml"
+        trial.write_text(text, encoding="utf-8")
+        try:
+            scene = read_scene(trial)
+        except SceneError as error:
+            raise SceneError(f"{path}: not written. {str(error).replace(str(trial), 'The scene')}") from None
     assert scene.shot is not None
     camera: Any = sensor.camera
     columns, rows = (np.linspace(0.0, side - 1.0, 3) for side in (camera.width, camera.height))
@@ -197,7 +206,6 @@ def _check_same(path: pathlib.Path, sensor: Sensor, shot: Shot) -> None:
     )
     angle = float(np.nanmax(np.linalg.norm(np.asarray(mine - other), axis=1), initial=0.0))
     if apart > OFF_AT_MOST[0] or angle > OFF_AT_MOST[1]:
-        path.unlink()
         raise SceneError(f"{path}: not written, its lines of sight would be off by {apart:.3g} m and {angle:.3g} rad.")
 
 

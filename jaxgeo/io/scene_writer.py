@@ -17,7 +17,7 @@ from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import PoseTable, SceneTable
-from jaxgeo.io.scene import SceneError, grid_convergence, read_scene, transformer_of_map
+from jaxgeo.io.scene import SceneError, grid_convergence, metres_of_map, read_scene, transformer_of_map
 from jaxgeo.io.vertical import height_shift
 from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Pose, Sensor, Shot
@@ -103,7 +103,8 @@ def _pose_changes(source: pathlib.Path, table: PoseTable, shot: Shot) -> Changes
     numbers = {"lat_deg": lat, "lon_deg": lon}
     if table.is_on_map and table.map_crs is not None:
         x, y = transformer_of_map(table.map_crs).transform(lon, lat, direction="INVERSE")[:2]
-        numbers = {"easting_m": float(x), "northing_m": float(y)}
+        unit = metres_of_map(table.map_crs)
+        numbers = {"easting_m": unit * float(x), "northing_m": unit * float(y)}
     numbers |= {"height_m": float(above[0])} | _attitude(table, pose, lon, lat)
     changes: Changes = {
         ("pose", key): round(value, DECIMALS.get(key, DECIMALS_OF_ANGLES)) for key, value in numbers.items()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pathlib
+import shutil
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -79,14 +81,53 @@ def test_yolo_is_in_shares_of_the_image(tmp_path: pathlib.Path) -> None:
     """By the layout of the Ultralytics documentation: class, then centre, width and height over those of the image."""
     (left, top), (right, bottom) = (BOX[0] + 0.5) / [4000, 3000], (BOX[2] + 0.5) / [4000, 3000]
     box = f"1 {(left + right) / 2} {(top + bottom) / 2} {right - left} {bottom - top} 0.75"
-    polygon = " ".join(["0", *(f"{x}" for x in ((TRIANGLE + 0.5) / [4000, 3000]).ravel())])
+    four = np.vstack([TRIANGLE, [15.0, 50.0]])
+    polygon = " ".join(["0", *(f"{x}" for x in ((four + 0.5) / [4000, 3000]).ravel())])
     write(tmp_path, "a.txt", f"{box}\n{polygon}\n")
     write(tmp_path, "classes.txt", "tree\ncar\n")
     of_box, of_polygon = read_detections(tmp_path)
     assert (of_box.image, of_box.attributes) == ("a", {"label": "car", "score": 0.75})
     assert (of_polygon.kind, of_polygon.attributes) == ("polygon", {"label": "tree", "score": None})
     np.testing.assert_allclose(of_box.of_size(4000, 3000), BOX, atol=1e-9)
-    np.testing.assert_allclose(of_polygon.of_size(4000, 3000), TRIANGLE, atol=1e-9)
+    np.testing.assert_allclose(of_polygon.of_size(4000, 3000), four, atol=1e-9)
+
+
+def test_track_numbers_of_yolo_are_no_scores_and_no_triangles(tmp_path: pathlib.Path) -> None:
+    """As Ultralytics writes them when tracking: behind the box, and behind its confidence."""
+    write(tmp_path, "a.txt", "0 0.5 0.5 0.1 0.1 7\n0 0.5 0.5 0.1 0.1 0.9\n")
+    tracked, scored = read_detections(tmp_path)
+    assert tracked.attributes == {"label": "0", "score": None, "track": 7}
+    assert scored.attributes == {"label": "0", "score": 0.9}
+    for number in ("1", "7"):
+        write(tmp_path, "a.txt", f"0 0.5 0.5 0.1 0.1 0.9 {number}\n")
+        with pytest.raises(TableError, match="7 numbers, which may be a box with confidence and track number"):
+            read_detections(tmp_path)
+
+
+def test_an_image_of_another_size_is_scaled_or_refused() -> None:
+    """In COCO, whose pixels count from the corner: half the size is half of each coordinate."""
+    whole = Detection("a.jpg", "box", BOX, {}, size=(8000, 6000))
+    np.testing.assert_allclose(whole.of_size(4000, 3000), (BOX + 0.5) / 2.0 - 0.5, atol=1e-12)
+    with pytest.raises(TableError, match="8000 x 6000 pixels in the file of detections, and 3000 x 3000 here"):
+        whole.of_size(3000, 3000)
+
+
+def test_what_lies_outside_of_the_image_is_cut_off() -> None:
+    wide = Detection("a.jpg", "box", np.array([[-5.0, 2.0], [50.0, 2.0], [50.0, 40.0], [-5.0, 40.0]]), {})
+    np.testing.assert_allclose(wide.of_size(40, 30), [[-0.5, 2.0], [39.5, 2.0], [39.5, 29.5], [-0.5, 29.5]])
+    lozenge = np.array([[20.0, -10.5], [60.0, 14.5], [20.0, 39.5], [-20.0, 14.5]])
+    cut = Detection("a.jpg", "polygon", lozenge, {}).of_size(40, 30)
+    assert cut.min() == -0.5
+    np.testing.assert_allclose(cut.max(axis=0), [39.5, 29.5])
+    beside = Detection("a.jpg", "polygon", TRIANGLE + 1000.0, {})
+    np.testing.assert_allclose(beside.of_size(40, 30), TRIANGLE + 1000.0)
+
+
+def test_a_pixel_beside_a_box_is_the_one_that_is_located(tmp_path: pathlib.Path) -> None:
+    content = "image,u,v,u_min,v_min,u_max,v_max\na.jpg,12,77,10,20,40,80\n"
+    (found,) = read_detections(write(tmp_path, "a.csv", content), pixel_origin="corner")
+    for anchor in ("centre", "bottom"):
+        np.testing.assert_allclose(found.pixel_of(found.of_size(4000, 3000), anchor), [11.5, 76.5])
 
 
 def test_anchors(tmp_path: pathlib.Path) -> None:
@@ -164,19 +205,23 @@ def observed(tmp_path_factory):
         tags = DJI | {f"drone-dji:{key}": text for key, text in more.items()}
         write_image(folder / name, packet(tags), make="DJI", size=FULL)
     (folder / "c.jpg").write_bytes((folder / "a.jpg").read_bytes()[:900])
-    return read_observations(folder, height_datum="ellipsoid")
+    read = read_observations(folder, height_datum="ellipsoid")
+    return SimpleNamespace(rows=read, files=sorted(folder.iterdir()), folder=folder)
 
 
 def test_each_detection_is_a_pixel_of_its_image(observed) -> None:
     given = [
         Detection("b.jpg", "point", np.array([[100.0, 200.0]]), {"label": "car"}),
-        Detection("images/a.JPG.jpg", "point", np.array([[1.0, 2.0]]), {}),
-        Detection("run\\a.jpg", "box", BOX, {"score": 0.5}),
+        Detection("other/a.jpg", "point", np.array([[1.0, 2.0]]), {}),
+        Detection(f"{observed.folder.name}\\a.jpg", "box", BOX, {"score": 0.5, "name": "x", "ce90_m": 3}),
         Detection("c", "point", np.array([[1.0, 2.0]]), {}),
         Detection("a", "polygon", TRIANGLE, {"label": "hut"}),
     ]
-    found, vertices = observations_of_detections(observed, given, anchor="bottom")
-    assert [row["name"] for row in found.columns] == ["b.jpg", "images/a.JPG.jpg", "a.jpg", "c", "a.jpg"]
+    found, vertices = observations_of_detections(observed.rows, given, anchor="bottom", files=observed.files)
+    assert [row["detected_name"] for row in found.columns] == [None, None, "x", None, None]
+    assert [row["detected_ce90_m"] for row in found.columns] == [None, None, 3, None, None]
+    assert [row["detected_as"] for row in found.columns] == ["point", "point", "box", "point", "polygon"]
+    assert [row["name"] for row in found.columns] == ["b.jpg", "other/a.jpg", "a.jpg", "c", "a.jpg"]
     assert [row["label"] for row in found.columns] == ["car", None, None, None, "hut"]
     assert [row["score"] for row in found.columns] == [None, None, 0.5, None, None]
     assert list(found.unread) == [1, 3]
@@ -185,8 +230,8 @@ def test_each_detection_is_a_pixel_of_its_image(observed) -> None:
     assert [len(one) for one in vertices] == [1, 0, 4, 0, 3]
     fixes = locate_observations(found, jaxgeo.ConstantHeight(300.0))
     for row, (name, uv) in {0: ("b.jpg", (100, 200)), 2: ("a.jpg", (25, 80)), 4: ("a.jpg", (35, 70))}.items():
-        number = [column["name"] for column in observed.columns].index(name)
-        look = observed.at(number)[0].exposure
+        number = [column["name"] for column in observed.rows.columns].index(name)
+        look = observed.rows.at(number)[0].exposure
         sensor, shot = jax.tree.map(jax.numpy.asarray, (look.sensor, look.motion))
         alone = jaxgeo.locate(sensor, shot, uv, jaxgeo.ConstantHeight(300.0))
         np.testing.assert_allclose(fixes.ecef[row], alone.ecef, atol=1e-6)
@@ -197,21 +242,21 @@ def test_outlines_are_what_their_edges_see(observed) -> None:
     given = [
         Detection("a.jpg", "point", np.array([[100.0, 200.0]]), {}),
         Detection("b.jpg", "box", BOX, {}),
-        Detection("a.jpg", "polygon", np.array([[10.0, 20.0], [60.0, -90_000.0], [30.0, 70.0]]), {}),
+        Detection("a.jpg", "polygon", TRIANGLE + 9000.0, {}),
         Detection("a.jpg", "polygon", TRIANGLE, {}),
     ]
-    found, vertices = observations_of_detections(observed, given)
+    found, vertices = observations_of_detections(observed.rows, given)
     ground = jaxgeo.ConstantHeight(300.0)
     outlines, rows = outline_observations(found, vertices)
     shapes = outlines_on_ground(locate_observations(outlines, ground), rows)
     assert shapes.statuses[0] is None
     assert shapes.statuses[1] == shapes.statuses[3] == "hit"
-    assert shapes.statuses[2] not in (None, "hit")  # a corner above the horizon
+    assert shapes.statuses[2] not in (None, "hit")  # beside the image
     assert shapes.rings[0] is None
     assert shapes.rings[2] is None
     for row, corners, name in ((1, BOX, "b.jpg"), (3, TRIANGLE, "a.jpg")):
-        number = [column["name"] for column in observed.columns].index(name)
-        look = observed.at(number)[0].exposure
+        number = [column["name"] for column in observed.rows.columns].index(name)
+        look = observed.rows.at(number)[0].exposure
         sensor, shot = jax.tree.map(jax.numpy.asarray, (look.sensor, look.motion))
         ring = shapes.rings[row]
         assert len(ring) >= 32
@@ -221,8 +266,25 @@ def test_outlines_are_what_their_edges_see(observed) -> None:
             assert apart.min() < 1e-3
 
 
+def test_images_of_one_name_are_told_apart_by_their_folders(observed, tmp_path: pathlib.Path) -> None:
+    files = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        files.append(shutil.copy(observed.folder / "a.jpg", tmp_path / name / "a.jpg"))
+    read = read_observations(files, height_datum="ellipsoid")
+    names = ("two/a.jpg", "a.jpg", "three/a.jpg", f"{tmp_path}/one/a.jpg")
+    given = [Detection(name, "point", np.array([[1.0, 2.0]]), {}) for name in names]
+    found, _ = observations_of_detections(read, given, files=files)
+    assert list(found.unread) == [1, 2]
+    assert "2 exposures have this name; name the folder too" in found.unread[1].reason
+    assert [pathlib.Path(found.columns[row]["name"]).parent.name for row in (0, 3)] == ["two", "one"]
+    alone = read_observations(files[0], height_datum="ellipsoid")  # not located in the image of another folder
+    with pytest.raises(TableError, match="no detection is in an image that was read"):
+        observations_of_detections(alone, given[:1], files=files[:1])
+
+
 def test_without_any_known_image_nothing_is_invented(observed) -> None:
     with pytest.raises(TableError, match=r"x\.jpg: no detection is in an image that was read"):
-        observations_of_detections(observed, [Detection("x.jpg", "point", BOX[:1], {})])
+        observations_of_detections(observed.rows, [Detection("x.jpg", "point", BOX[:1], {})])
     with pytest.raises(ValueError, match="anchor must be"):
-        observations_of_detections(observed, [Detection("a.jpg", "point", BOX[:1], {})], anchor="top")
+        observations_of_detections(observed.rows, [Detection("a.jpg", "point", BOX[:1], {})], anchor="top")

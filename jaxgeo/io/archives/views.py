@@ -18,10 +18,10 @@ from jaxgeo.io.observations import Observations
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.uncertainty.sources import AbstractSource
 
-SIDE, FEW = 9, 3  # lines of sight along each side of an image, and of one of many
-MANY = 100
+SIDE = 9  # lines of sight along each side of an image
+MANY = 200  # images, of more only the edges and the centre are looked at
 SIGMAS = 5.0  # standard deviations by which lines of sight are widened
-MOST_IMAGES = 2000  # of more, so many are looked at
+MOST_IMAGES = 600  # of more, so many are looked at
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +54,7 @@ def view_of(observed: Observations, *, whole: bool = False) -> View:
 def view_of_images(images: Sequence[tuple[Sensor, Shot | Trajectory, Any]]) -> View:
     """The lines of sight of lattices over many images, (sensor, motion, time) each."""
     some = images[:: max(1, -(-len(images) // MOST_IMAGES))]
-    side = SIDE if len(some) <= MANY else FEW
-    rays = [_lattice(*image, side) for image in some]
+    rays = [_lattice(*image, edges=len(some) > MANY) for image in some]
     each = [(one.origin, one.direction) for one in rays]
     origin, direction = (np.concatenate([np.asarray(one) for one in part]) for part in zip(*each, strict=True))
     return View((Ray(origin, direction),))
@@ -65,13 +64,18 @@ def view_of_image(
     sensor: Sensor, motion: Shot | Trajectory, time: Any = None, sources: Sequence[AbstractSource] = ()
 ) -> View:
     """The lines of sight of a lattice over an image, its outer edges included."""
-    return View((_lattice(sensor, motion, time, SIDE),), *spread_of(sources))
+    return View((_lattice(sensor, motion, time),), *spread_of(sources))
 
 
-def _lattice(sensor: Sensor, motion: Shot | Trajectory, time: Any, side: int) -> Ray:
+def _lattice(sensor: Sensor, motion: Shot | Trajectory, time: Any, *, edges: bool = False) -> Ray:
+    """Lines of sight of a lattice over an image, or of its edges and its centre only."""
     camera: Any = sensor.camera
-    u, v = (np.linspace(-0.5, getattr(camera, size) - 0.5, side) for size in ("width", "height"))
-    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    u, v = (np.linspace(-0.5, getattr(camera, size) - 0.5, SIDE) for size in ("width", "height"))
+    uv = np.stack(np.meshgrid(u, v), axis=-1)
+    middle = np.zeros((SIDE, SIDE), bool)
+    middle[1:-1, 1:-1] = edges
+    middle[SIDE // 2, SIDE // 2] = False
+    uv = uv[~middle]
     return lines_of_sight(*checked_exposure(sensor, motion, time), uv)[0]
 
 
