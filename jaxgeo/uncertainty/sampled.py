@@ -92,8 +92,8 @@ def sample(
       own devices, and all return the whole. All call `sample` with the same arguments. If another process fails, or
       does not deliver its part within `timeout` seconds after this one has drawn its own, `RuntimeError` is raised.
 
-    Raises as `propagate`, and `ValueError` for a count that is not positive, or if there is no fix; `TypeError` for options given twice, and under `jit`, `vmap` and derivatives, where
-    `error_samples` serves.
+    Raises as `propagate`, and `ValueError` for a count that is not positive, or if there is no fix; `TypeError` for
+    options given twice, and under `jit`, `vmap` and derivatives, where `error_samples` serves.
     """
     options = {"key": key, "count": count, "draws": draws, "half_width": half_width, "confidence": confidence}
     options |= {"chunk": chunk, "devices": devices, "progress": progress or None}
