@@ -85,17 +85,15 @@ def sample(
 
     - Parts: samples `first` to `first + count - 1` of the key are drawn, the same ones to the last digit whatever the
       part and the chunk, so that `sample(..., count=100).merge(sample(..., first=100, count=100))` is
-      `sample(..., count=200)`. Between numbers of devices they may differ by rounding, 1e-8 m. `first` is a multiple of
-      the Sobol scrambles.
+      `sample(..., count=200)`. Between numbers of devices they may differ by rounding, 1e-8 m.
     - `summary` keeps counts of radii in bins in place of the radii: memory is constant, and quantiles are off by less
       than 0.0061 % (see `RadiusHistogram`).
     - Several processes of `jax.distributed` share the samples, unless `devices` are given: each draws a part on its
       own devices, and all return the whole. All call `sample` with the same arguments. If another process fails, or
       does not deliver its part within `timeout` seconds after this one has drawn its own, `RuntimeError` is raised.
 
-    Raises as `propagate`, and `ValueError` for a count that is not positive, if there is no fix, or if `count` is not a
-    multiple of the Sobol scrambles; `TypeError` for options given twice, and under `jit`, `vmap` and derivatives, where
-    `error_samples` serves.
+    Raises as `propagate`, and `ValueError` for a count that is not positive, or if there is no fix; `TypeError` for
+    options given twice, and under `jit`, `vmap` and derivatives, where `error_samples` serves.
     """
     options = {"key": key, "count": count, "draws": draws, "half_width": half_width, "confidence": confidence}
     options |= {"chunk": chunk, "devices": devices, "progress": progress or None}
