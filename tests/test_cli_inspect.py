@@ -20,6 +20,7 @@ from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
 from jaxgeo.io.tables import read_shots
 from jaxgeo.uncertainty.sources import InteriorOrientation
+from tests.io.test_colmap_models import CENTRE_ENU, ENU, R_ENU, pose_words, write_binary
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
 
@@ -62,6 +63,10 @@ def of_bytes(content: bytes) -> Callable[[pathlib.Path], object]:
     return lambda path: path.write_bytes(content)
 
 
+def of_colmap(path: pathlib.Path) -> None:
+    write_binary(path.parent, "OPENCV", pose_words(R_ENU, CENTRE_ENU))
+
+
 PACKETS = local_set(usual()) + local_set(usual(tag_5=200.0))
 FILES = {  # name of a file: how it is made, what it is, options of its reader, those of the command
     "photo.jpg": (of_image, "drone image", {"height_datum": "ellipsoid"}),
@@ -74,6 +79,7 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "clip.srt": (of_text(subtitles()), "subtitle file of DJI", {"height_datum": "ellipsoid"}),
     "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
     "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
+    "images.bin": (of_colmap, "model of COLMAP", {"height_datum": "ellipsoid", "crs": ENU}),
     "micmac.txt": (
         of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),
         "table of orientations",
@@ -81,7 +87,7 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     ),
     "r.json": (of_text(json.dumps(RECONSTRUCTION)), "reconstruction of OpenSfM", {"height_datum": 19.6}),
 }
-OPTIONS = {"crs": "--source-crs"}
+OPTIONS = {"crs": "--source-crs", "height_datum": "--camera-datum"}
 
 
 def run(*arguments: str | pathlib.Path):

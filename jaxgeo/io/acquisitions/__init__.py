@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
+from jaxgeo.io.acquisitions.colmap import read_colmap
 from jaxgeo.io.acquisitions.detect import read_acquisition
 from jaxgeo.io.acquisitions.dji_subtitles import read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
@@ -32,6 +33,7 @@ __all__ = [
     "read_acquisition",
     "read_acquisitions",
     "read_airdata",
+    "read_colmap",
     "read_dji_subtitles",
     "read_drone_images",
     "read_metashape_cameras",

@@ -19,6 +19,8 @@ from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
+from jaxgeo.io.acquisitions.colmap import FORM as COLMAP_FORM
+from jaxgeo.io.acquisitions.colmap import files_of_model, is_colmap, read_colmap
 from jaxgeo.io.acquisitions.dji_subtitles import CUE, read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
@@ -61,8 +63,8 @@ class Form(NamedTuple):
 
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
-    an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, Metashape
-    cameras (XML), DJI video subtitles, AirData flight logs, a scene.
+    an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
+    model (folder or file), Metashape cameras (XML), DJI video subtitles, AirData flight logs, a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
@@ -112,7 +114,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     """The kind of a file. Raises `TableError` if it is unknown, `FileNotFoundError`."""
     place = pathlib.Path(path)
     if place.is_dir():
-        return DRONE_IMAGES
+        return COLMAP if files_of_model(place) is not None else DRONE_IMAGES
     check_regular(place, TableError)
     try:
         with open(place, "rb") as file:
@@ -183,6 +185,10 @@ def _of_orthority(exterior: str | os.PathLike[str], *, interior: Any = None, **h
 
 def _is_image(path: pathlib.Path, head: bytes) -> bool:
     return head.startswith(IMAGES)
+
+
+def _is_colmap(path: pathlib.Path, head: bytes) -> bool:
+    return is_colmap(head)
 
 
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
@@ -259,6 +265,7 @@ TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", 
 PLACED = ("height_datum", "crs", "camera")
 IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
+COLMAP = Form(COLMAP_FORM, _is_colmap, read_colmap, PLACED)
 FLIGHT_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
@@ -270,6 +277,7 @@ FORMS = (
     Form("subtitle file of DJI", _is_subtitles, read_dji_subtitles, FLIGHT_LOG),
     Form("flight log of AirData", _is_flight_log, read_airdata, FLIGHT_LOG),
     Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
+    COLMAP,
     Form("file of positions", _is_positions, _of_positions, (*IMAGES_TAKE, "cameras")),
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),

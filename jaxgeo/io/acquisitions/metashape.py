@@ -8,26 +8,23 @@ import xml.etree.ElementTree as ET
 from typing import Any
 
 import numpy as np
-import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo._text_numbers import numbers_in, whole_in, words_of
-from jaxgeo.earth import Geodetic
-from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions._world_frames import check_on_earth, pose_of_ecef
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import AS_READ
-from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
-from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
+from jaxgeo.sensor import BrownConrady, FrameCamera
 
 MOST_PIXELS = 10_000_000  # largest image side and focal length
 FORM = "camera file of Metashape"
 WGS84_TAKEN = "The geocentric coordinates of the chunk are taken to be of WGS 84."
+NO_TRANSFORM = "there is no transform to the Earth: georeference the chunk in Metashape and export again"
 UNREAD = ("b2", "k4", "p3", "p4")  # unsupported terms: skew and higher distortion terms
 IDENTITY = (np.eye(3), np.zeros(3), 1.0)
-RADII = (6.3e6, 1e8)  # m from the centre of the Earth: plausible camera range
 
 
 def read_metashape_cameras(
@@ -69,7 +66,7 @@ def read_metashape_cameras(
             R, centre = R_up @ R, shift + scale * (R_up @ centre)
         poses.append((R, centre))
     R_ecef_from_camera, centres = map(np.array, zip(*poses, strict=True))
-    _check_on_earth(path, centres)
+    check_on_earth(path, centres, NO_TRANSFORM)
     unaligned = sum(one.find("transform") is None for one in chunk.iter("camera"))
     notes = [f"{unaligned} cameras are not aligned and are left out."] if unaligned else []
     return Acquisition(
@@ -77,7 +74,7 @@ def read_metashape_cameras(
         form=FORM,
         names=np.array([labels[row] for row in rows]),
         sensor=sensor_of(cameras, taken_by[rows]),
-        shots=shots_of(_pose(R_ecef_from_camera, centres)),
+        shots=shots_of(pose_of_ecef(centres, R_ecef_from_camera)),
         assumed=(WGS84_TAKEN, NO_ERRORS, AS_READ, NO_TIMES, *notes),
         facts={"images": f"{len(rows)} of {len(aligned) + unaligned}", "cameras": ", ".join(cameras)},
     )
@@ -125,23 +122,6 @@ def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray,
     if scale <= 0.0:
         raise TableError(f"{where}: the scale {scale:g} is not above zero.")
     return _rotation(where, R), shift, scale
-
-
-def _check_on_earth(path: Any, centres: np.ndarray) -> None:
-    """Raises `TableError` if cameras are not near the Earth, as in a block that is not georeferenced."""
-    radius = np.linalg.norm(centres, axis=1)
-    if np.any((radius < RADII[0]) | (radius > RADII[1])):
-        raise TableError(
-            f"{path}: there is no transform to the Earth, so its cameras have no place there (the first is "
-            f"{radius[0]:.6g} m from its centre); georeference the chunk in Metashape and export again."
-        )
-    height = np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2])
-    low, high, _ = POSE_COLUMNS["height_m"]
-    wrong = (height < low) | (height > high)
-    if np.any(wrong):
-        raise TableError(
-            f"{path}: a camera is {height[np.argmax(wrong)]:.6g} m above the ellipsoid, outside [{low:g}, {high:g}] m."
-        )
 
 
 def _transform(path: Any, camera: ET.Element) -> tuple[np.ndarray, np.ndarray]:
@@ -195,18 +175,3 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
         principal_px=((width - 1.0) / 2.0 + terms.get("cx", 0.0), (height - 1.0) / 2.0 + terms.get("cy", 0.0)),
         distortion=None if is_perfect else lens,
     )
-
-
-def _pose(R_ecef_from_camera: np.ndarray, centres: np.ndarray) -> Pose:
-    """Poses of bodies that carry the cameras in `Mount.nadir()`."""
-    lon, lat, height = pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)
-    lon, lat = np.deg2rad(lon), np.deg2rad(lat)
-    sin, cos = np.sin, np.cos
-    north = np.stack([-sin(lat) * cos(lon), -sin(lat) * sin(lon), cos(lat)], axis=-1)
-    east = np.stack([-sin(lon), cos(lon), np.zeros_like(lon)], axis=-1)
-    down = np.stack([-cos(lat) * cos(lon), -cos(lat) * sin(lon), -sin(lat)], axis=-1)
-    R_ned_from_ecef = np.stack([north, east, down], axis=-2)
-    R = R_ned_from_ecef @ R_ecef_from_camera @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T
-    pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
-    position = Geodetic(lat=lat, lon=lon, height=height)
-    return Pose(position, np.arctan2(R[:, 1, 0], R[:, 0, 0]), pitch, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
