@@ -99,7 +99,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--positions",
             metavar="FILE",
-            help="Drone images: file of refined positions (geo.txt, Timestamp.MRK, shots.geojson, a table).",
+            help="Drone images: file of refined positions (geo.txt, Timestamp.MRK, RTKLIB's .pos, shots.geojson, a "
+            "table).",
         ),
     ] = None
 
