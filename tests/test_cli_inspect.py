@@ -21,6 +21,7 @@ from jaxgeo.io.acquisitions.detect import form_of
 from jaxgeo.io.tables import read_shots
 from jaxgeo.uncertainty.sources import InteriorOrientation
 from tests.io.test_colmap_models import CENTRE_ENU, ENU, R_ENU, pose_words, write_binary
+from tests.io.test_flight_log_programs import litchi, reader
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
 
@@ -78,6 +79,8 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "opk.txt": (of_text(OPK), "table of orientations", {"height_datum": "ellipsoid", "crs": "EPSG:32651"}),
     "clip.srt": (of_text(subtitles()), "subtitle file of DJI", {"height_datum": "ellipsoid"}),
     "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
+    "litchi.csv": (of_text(litchi()), "flight log of Litchi", {"takeoff_height": 54.0}),
+    "reader.csv": (of_text(reader()), "flight log of Flight Reader", {"height_datum": "ellipsoid"}),
     "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
     "images.bin": (of_colmap, "model of COLMAP", {"height_datum": "ellipsoid", "crs": ENU}),
     "micmac.txt": (

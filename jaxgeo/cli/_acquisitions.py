@@ -42,7 +42,7 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--takeoff-height",
             metavar="HEIGHT",
-            help="Drone images: height of the take-off point, m above the ellipsoid; replaces --camera-datum.",
+            help="Drone images, logs: height of the take-off point, m above the ellipsoid; replaces --camera-datum.",
         ),
     ] = None
     crs: Annotated[

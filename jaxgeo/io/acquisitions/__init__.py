@@ -8,6 +8,8 @@ from jaxgeo.io.acquisitions.colmap import read_colmap
 from jaxgeo.io.acquisitions.detect import read_acquisition
 from jaxgeo.io.acquisitions.dji_subtitles import read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
+from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
+from jaxgeo.io.acquisitions.litchi import read_litchi
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.orthority import read_orthority, read_orthority_cameras
 from jaxgeo.io.acquisitions.positions import with_positions
@@ -36,6 +38,8 @@ __all__ = [
     "read_colmap",
     "read_dji_subtitles",
     "read_drone_images",
+    "read_flight_reader",
+    "read_litchi",
     "read_metashape_cameras",
     "read_orthority",
     "read_orthority_cameras",
