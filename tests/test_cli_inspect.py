@@ -24,6 +24,7 @@ from tests.io.test_colmap_models import CENTRE_ENU, ENU, R_ENU, pose_words, writ
 from tests.io.test_flight_log_programs import litchi, reader
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
+from tests.io.test_micmac_orientations import calibration, orientation
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -68,6 +69,11 @@ def of_colmap(path: pathlib.Path) -> None:
     write_binary(path.parent, "OPENCV", pose_words(R_ENU, CENTRE_ENU))
 
 
+def of_micmac(path: pathlib.Path) -> None:
+    path.write_text(orientation(R_ENU, CENTRE_ENU), encoding="utf-8")
+    (path.parent / "AutoCal_Foc-8800_Cam-X.xml").write_text(calibration(), encoding="utf-8")
+
+
 PACKETS = local_set(usual()) + local_set(usual(tag_5=200.0))
 FILES = {  # name of a file: how it is made, what it is, options of its reader, those of the command
     "photo.jpg": (of_image, "drone image", {"height_datum": "ellipsoid"}),
@@ -82,6 +88,7 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "litchi.csv": (of_text(litchi()), "flight log of Litchi", {"takeoff_height": 54.0}),
     "reader.csv": (of_text(reader()), "flight log of Flight Reader", {"height_datum": "ellipsoid"}),
     "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
+    "Orientation-a.JPG.xml": (of_micmac, "orientation of MicMac", {"height_datum": "ellipsoid", "crs": ENU}),
     "images.bin": (of_colmap, "model of COLMAP", {"height_datum": "ellipsoid", "crs": ENU}),
     "micmac.txt": (
         of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),

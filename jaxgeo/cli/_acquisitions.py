@@ -50,7 +50,7 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--source-crs",
             metavar="CRS",
-            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP: also "EPSG:4978" or '
+            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac: also "EPSG:4978" or '
             '"enu:LAT,LON,HEIGHT".',
         ),
     ] = None

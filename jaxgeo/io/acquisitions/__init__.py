@@ -11,6 +11,7 @@ from jaxgeo.io.acquisitions.drone_images import read_drone_images
 from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
 from jaxgeo.io.acquisitions.litchi import read_litchi
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
+from jaxgeo.io.acquisitions.micmac import read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority, read_orthority_cameras
 from jaxgeo.io.acquisitions.positions import with_positions
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, for_each
@@ -41,6 +42,7 @@ __all__ = [
     "read_flight_reader",
     "read_litchi",
     "read_metashape_cameras",
+    "read_micmac",
     "read_orthority",
     "read_orthority_cameras",
     "read_sbet",

@@ -85,6 +85,7 @@ def is_colmap(head: bytes) -> bool:
 def read_model(path: str | os.PathLike[str]) -> RawModel:
     """The cameras and images of a folder, or of one of its files. Raises `TableError`, `FileNotFoundError`."""
     place = pathlib.Path(path)
+    check_regular(place, TableError)
     if place.is_dir():
         found = files_of_model(place)
         if found is None:

@@ -27,6 +27,8 @@ from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.acquisitions.litchi import read_litchi
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
+from jaxgeo.io.acquisitions.micmac import FORM as MICMAC_FORM
+from jaxgeo.io.acquisitions.micmac import files_of_orientations, read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.positions import with_table
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
@@ -66,8 +68,8 @@ class Form(NamedTuple):
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
     an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
-    model (folder or file), Metashape cameras (XML), DJI video subtitles, flight logs (AirData, Litchi, Flight
-    Reader), a scene.
+    model or MicMac orientations (folder or file), Metashape cameras (XML), DJI video subtitles, flight logs (AirData,
+    Litchi, Flight Reader), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
@@ -117,7 +119,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     """The kind of a file. Raises `TableError` if it is unknown, `FileNotFoundError`."""
     place = pathlib.Path(path)
     if place.is_dir():
-        return COLMAP if files_of_model(place) is not None else DRONE_IMAGES
+        return form_of_folder(place) or DRONE_IMAGES
     check_regular(place, TableError)
     try:
         with open(place, "rb") as file:
@@ -133,6 +135,13 @@ def form_of(path: str | os.PathLike[str]) -> Form:
             return form
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
+
+
+def form_of_folder(path: str | os.PathLike[str]) -> Form | None:
+    """The kind of a folder that is one block; None for a folder of images."""
+    if files_of_model(path) is not None:
+        return COLMAP
+    return MICMAC if files_of_orientations(path) else None
 
 
 def _of_scene(path: str | os.PathLike[str]) -> Acquisition:
@@ -244,6 +253,11 @@ def _is_metashape(path: pathlib.Path, head: bytes) -> bool:
     return text is not None and text.lstrip()[:1] == "<" and "<document" in text and "<chunk" in text
 
 
+def _is_micmac(path: pathlib.Path, head: bytes) -> bool:
+    text = text_of(head, is_cut=True)
+    return text is not None and text.lstrip()[:1] == "<" and "<OrientationConique" in text
+
+
 def _is_table(path: pathlib.Path, head: bytes) -> bool:
     """Whether the header, which may be a comment, names columns of positions and angles."""
     text = text_of(head, is_cut=True)
@@ -273,6 +287,7 @@ PLACED = ("height_datum", "crs", "camera")
 IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
 COLMAP = Form(COLMAP_FORM, _is_colmap, read_colmap, PLACED)
+MICMAC = Form(MICMAC_FORM, _is_micmac, read_micmac, (*PLACED, "cameras"))
 OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)")
 OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw")
 OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "custom.updatetime [local]")
@@ -295,6 +310,7 @@ FORMS = (
     ),
     Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
     COLMAP,
+    MICMAC,
     Form("file of positions", _is_positions, _of_positions, (*IMAGES_TAKE, "cameras")),
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import re
 import xml.etree.ElementTree as ET
 from typing import Any
 
 import numpy as np
 
 from jaxgeo._checks import require_x64
-from jaxgeo._text_numbers import numbers_in, whole_in, words_of
-from jaxgeo.io._text import read_text
+from jaxgeo._text_numbers import whole_in
 from jaxgeo.io.acquisitions._world_frames import check_on_earth, pose_of_ecef
+from jaxgeo.io.acquisitions._xml import numbers_of, root_of, rotation_near
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
@@ -81,33 +80,11 @@ def read_metashape_cameras(
 
 
 def _chunk(path: str | os.PathLike[str]) -> ET.Element:
-    text = read_text(path, FORM)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise TableError(f"{path}: XML with definitions of its own (DOCTYPE) is not read.")
-    try:
-        root = ET.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))
-    except ET.ParseError as error:
-        raise TableError(f"{path}: not an XML file, or cut off: {error}.") from error
+    root = root_of(path, FORM)
     chunk = root if root.tag == "chunk" else root.find("chunk")
     if chunk is None:
         raise TableError(f"{path}: there is no <chunk>, so it is no {FORM}.")
     return chunk
-
-
-def _numbers(where: str, element: ET.Element | None, count: int) -> np.ndarray:
-    text = "" if element is None or element.text is None else element.text
-    found = numbers_in(words_of(text))
-    if found is None or len(found) != count:
-        raise TableError(f"{where}: expected {count} numbers; got {text.strip()[:60]!r}.")
-    return np.array(found)
-
-
-def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix that is one except for rounding."""
-    left, values, right = np.linalg.svd(matrix)
-    if np.any(np.abs(values - 1.0) > 1e-3) or np.linalg.det(left @ right) < 0.0:
-        raise TableError(f"{where}: it is no rotation.")
-    return left @ right
 
 
 def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray, float]:
@@ -116,19 +93,19 @@ def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray,
     if transform is None or len(transform) == 0:
         return IDENTITY
     parts = {name: transform.find(name) for name in ("rotation", "translation", "scale")}
-    R = np.eye(3) if parts["rotation"] is None else _numbers(where, parts["rotation"], 9).reshape(3, 3)
-    shift = np.zeros(3) if parts["translation"] is None else _numbers(where, parts["translation"], 3)
-    scale = 1.0 if parts["scale"] is None else float(_numbers(where, parts["scale"], 1)[0])
+    R = np.eye(3) if parts["rotation"] is None else numbers_of(where, parts["rotation"], 9).reshape(3, 3)
+    shift = np.zeros(3) if parts["translation"] is None else numbers_of(where, parts["translation"], 3)
+    scale = 1.0 if parts["scale"] is None else float(numbers_of(where, parts["scale"], 1)[0])
     if scale <= 0.0:
         raise TableError(f"{where}: the scale {scale:g} is not above zero.")
-    return _rotation(where, R), shift, scale
+    return rotation_near(where, R), shift, scale
 
 
 def _transform(path: Any, camera: ET.Element) -> tuple[np.ndarray, np.ndarray]:
     """(rotation of right, down, forward; centre) of a camera in its component."""
     where = f"{path}, camera {camera.get('label', '')}"
-    matrix = _numbers(where, camera.find("transform"), 16).reshape(4, 4)
-    return _rotation(where, matrix[:3, :3]), matrix[:3, 3]
+    matrix = numbers_of(where, camera.find("transform"), 16).reshape(4, 4)
+    return rotation_near(where, matrix[:3, :3]), matrix[:3, 3]
 
 
 def _label(path: Any, sensors: dict[str, ET.Element], camera: ET.Element) -> str:
@@ -154,7 +131,7 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
         raise TableError(f"{where}: there is no resolution of whole numbers above zero, width and height.")
     written = [one for one in calibration if one.text and one.text.strip()]
-    terms = {one.tag.lower(): float(_numbers(f"{where}, {one.tag}", one, 1)[0]) for one in written}
+    terms = {one.tag.lower(): float(numbers_of(f"{where}, {one.tag}", one, 1)[0]) for one in written}
     turned = [key for key in UNREAD if terms.get(key, 0.0) != 0.0]
     if turned:
         raise TableError(f"{where}: {turned[0]} is not zero; it is not read. Optimise the cameras without it.")
