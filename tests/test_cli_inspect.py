@@ -140,7 +140,7 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
 
 
 WITH_CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
-CAMERA_GIVEN = {"eo.csv", "opk.txt", "clip.srt", "flight.csv", "micmac.txt"}  # files that have none
+CAMERA_GIVEN = {"eo.csv", "opk.txt", "clip.srt", "flight.csv", "litchi.csv", "reader.csv", "micmac.txt"}  # have none
 
 
 @pytest.mark.parametrize("name", FILES)

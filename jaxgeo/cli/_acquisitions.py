@@ -50,8 +50,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--source-crs",
             metavar="CRS",
-            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac: also "EPSG:4978" or '
-            '"enu:LAT,LON,HEIGHT".',
+            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac: also '
+            '"EPSG:4978" or "enu:LAT,LON,HEIGHT".',
         ),
     ] = None
     camera: Annotated[

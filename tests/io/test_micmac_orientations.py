@@ -1,7 +1,7 @@
 """Orientations of MicMac: rotation, centre, calibration and frame; what is not read is refused in a line.
 
-Held against: the layout that MicMac writes (ExportAPERO, OrientationConique; as openMVG exports it) and iTowns' reader of
-it: eConvApero_DistM2C is the rotation of (right, down, forward) to the world, distortion goes from model to image.
+Held against: the layout that MicMac writes (ExportAPERO, OrientationConique; as openMVG exports it) and iTowns'
+reader: eConvApero_DistM2C is the rotation of (right, down, forward) to the world, distortion goes from model to image.
 The pixel of a ground point is computed here in NumPy.
 """
 
