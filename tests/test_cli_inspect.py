@@ -20,8 +20,11 @@ from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
 from jaxgeo.io.tables import read_shots
 from jaxgeo.uncertainty.sources import InteriorOrientation
+from tests.io.test_colmap_models import CENTRE_ENU, ENU, R_ENU, pose_words, write_binary
+from tests.io.test_flight_log_programs import litchi, reader
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
+from tests.io.test_micmac_orientations import calibration, orientation
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -62,6 +65,15 @@ def of_bytes(content: bytes) -> Callable[[pathlib.Path], object]:
     return lambda path: path.write_bytes(content)
 
 
+def of_colmap(path: pathlib.Path) -> None:
+    write_binary(path.parent, "OPENCV", pose_words(R_ENU, CENTRE_ENU))
+
+
+def of_micmac(path: pathlib.Path) -> None:
+    path.write_text(orientation(R_ENU, CENTRE_ENU), encoding="utf-8")
+    (path.parent / "AutoCal_Foc-8800_Cam-X.xml").write_text(calibration(), encoding="utf-8")
+
+
 PACKETS = local_set(usual()) + local_set(usual(tag_5=200.0))
 FILES = {  # name of a file: how it is made, what it is, options of its reader, those of the command
     "photo.jpg": (of_image, "drone image", {"height_datum": "ellipsoid"}),
@@ -73,7 +85,11 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "opk.txt": (of_text(OPK), "table of orientations", {"height_datum": "ellipsoid", "crs": "EPSG:32651"}),
     "clip.srt": (of_text(subtitles()), "subtitle file of DJI", {"height_datum": "ellipsoid"}),
     "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
+    "litchi.csv": (of_text(litchi()), "flight log of Litchi", {"takeoff_height": 54.0}),
+    "reader.csv": (of_text(reader()), "flight log of Flight Reader", {"height_datum": "ellipsoid"}),
     "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
+    "Orientation-a.JPG.xml": (of_micmac, "orientation of MicMac", {"height_datum": "ellipsoid", "crs": ENU}),
+    "images.bin": (of_colmap, "model of COLMAP", {"height_datum": "ellipsoid", "crs": ENU}),
     "micmac.txt": (
         of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),
         "table of orientations",
@@ -81,7 +97,7 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     ),
     "r.json": (of_text(json.dumps(RECONSTRUCTION)), "reconstruction of OpenSfM", {"height_datum": 19.6}),
 }
-OPTIONS = {"crs": "--source-crs"}
+OPTIONS = {"crs": "--source-crs", "height_datum": "--camera-datum"}
 
 
 def run(*arguments: str | pathlib.Path):
@@ -124,7 +140,7 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
 
 
 WITH_CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
-CAMERA_GIVEN = {"eo.csv", "opk.txt", "clip.srt", "flight.csv", "micmac.txt"}  # files that have none
+CAMERA_GIVEN = {"eo.csv", "opk.txt", "clip.srt", "flight.csv", "litchi.csv", "reader.csv", "micmac.txt"}  # have none
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -42,7 +42,7 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--takeoff-height",
             metavar="HEIGHT",
-            help="Drone images: height of the take-off point, m above the ellipsoid; replaces --camera-datum.",
+            help="Drone images, logs: height of the take-off point, m above the ellipsoid; replaces --camera-datum.",
         ),
     ] = None
     crs: Annotated[
@@ -50,7 +50,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--source-crs",
             metavar="CRS",
-            help='CRS of the file\'s positions, if they are projected: "EPSG:32651".',
+            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac: also '
+            '"EPSG:4978" or "enu:LAT,LON,HEIGHT".',
         ),
     ] = None
     camera: Annotated[
@@ -98,7 +99,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--positions",
             metavar="FILE",
-            help="Drone images: file of refined positions (geo.txt, Timestamp.MRK, shots.geojson, a table).",
+            help="Drone images: file of refined positions (geo.txt, Timestamp.MRK, RTKLIB's .pos, shots.geojson, a "
+            "table).",
         ),
     ] = None
 

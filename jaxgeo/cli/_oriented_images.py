@@ -73,7 +73,7 @@ class OrientedImages:
                     f"{file} ({form.name}) does not refer to image files. Give drone images, or a reconstruction or "
                     f"table of orientations with --images FOLDER."
                 )
-            if self.folder is not None and (file.is_dir() or form is DRONE_IMAGES):
+            if self.folder is not None and form is DRONE_IMAGES:
                 raise UserError(
                     f"--images {self.folder} is for a file of poses; {file} is of images, which state their own."
                 )
@@ -145,6 +145,6 @@ def _form(file: pathlib.Path) -> Any:
     from jaxgeo.io.errors import TableError
 
     try:
-        return None if file.is_dir() else form_of(file)
+        return form_of(file)
     except (TableError, OSError):
         return None

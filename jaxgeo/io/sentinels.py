@@ -147,6 +147,19 @@ AIRDATA = (
     Sentinel("camera angles", ("gimbal_heading", "gimbal_pitch", "gimbal_roll"), all_zero, _ANGLES),
     Sentinel("camera angles", ("gimbal_heading", "gimbal_pitch", "gimbal_roll"), is_blank, "the cells are empty"),
 )
+# Columns of Litchi's and Flight Reader's flight logs, in lower case and without units.
+LITCHI = (
+    Sentinel("position", ("latitude", "longitude"), all_zero, _POSITION),
+    Sentinel("position", ("latitude", "longitude"), is_blank, "the cells are empty"),
+    Sentinel("camera angles", ("gimbalyawraw", "gimbalpitchraw", "gimbalrollraw"), all_zero, _ANGLES),
+)
+FLIGHT_READER = (
+    Sentinel("position", ("osd.latitude", "osd.longitude"), all_zero, _POSITION),
+    Sentinel("position", ("osd.latitude", "osd.longitude"), is_blank, "the cells are empty"),
+    Sentinel("position", ("osd.gpslevel",), all_zero, "level 0 is no signal"),
+    Sentinel("camera angles", ("gimbal.yaw", "gimbal.pitch", "gimbal.roll"), all_zero, _ANGLES),
+    Sentinel("camera angles", ("gimbal.yaw", "gimbal.pitch", "gimbal.roll"), is_blank, "the cells are empty"),
+)
 # Fields of DJI's photo marks (Timestamp.MRK).
 MARKS = (
     Sentinel("position", ("Q",), all_zero, "0 is no solution"),
@@ -212,6 +225,8 @@ SENTINELS: dict[str, tuple[Sentinel, ...]] = {
     "KLV": KLV,
     "subtitles": SUBTITLES,
     "AirData": AIRDATA,
+    "Litchi": LITCHI,
+    "Flight Reader": FLIGHT_READER,
     "marks": MARKS,
     "SBET": SBET,
 }

@@ -41,6 +41,7 @@ from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io import DemError, ImageError, acquisitions, open_dem, read_dem, read_image, read_orthoimage
 from jaxgeo.io._proj import DATA
+from jaxgeo.io.acquisitions._rtklib import read_solutions
 from jaxgeo.io.acquisitions.transport_stream import read_transport_stream
 from jaxgeo.io.paths import files_behind
 from jaxgeo.io.scene import read_camera, read_scene
@@ -219,6 +220,11 @@ READERS: dict[str, Callable[[pathlib.Path], Any]] = {
     "transport stream": read_transport_stream,
     "subtitles": acquisitions.read_dji_subtitles,
     "flight log": acquisitions.read_airdata,
+    "flight log of Litchi": lambda path: acquisitions.read_litchi(path, takeoff_height=0.0),
+    "flight log of Flight Reader": acquisitions.read_flight_reader,
+    "model of COLMAP": lambda path: acquisitions.read_colmap(path, crs="EPSG:4978", height_datum=0.0),
+    "orientation of MicMac": lambda path: acquisitions.read_micmac(path, crs="EPSG:4978", height_datum=0.0),
+    "solutions of RTKLIB": read_solutions,
     "cameras of Metashape": acquisitions.read_metashape_cameras,
     "BAL": io.read_bal,
     "ground control": lambda path: io.read_gcp_list(path, height_datum="ellipsoid"),

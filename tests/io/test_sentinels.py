@@ -66,6 +66,18 @@ EXAMPLES: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
         pair("0", "0.5", "gimbal_heading", "gimbal_pitch", "gimbal_roll"),
         pair(" ", "30", "gimbal_heading", "gimbal_pitch", "gimbal_roll"),
     ],
+    "Litchi": [
+        pair("0", "0.5", "latitude", "longitude"),
+        pair("", "36.3", "latitude", "longitude"),
+        pair("0", "5", "gimbalyawraw", "gimbalpitchraw", "gimbalrollraw"),
+    ],
+    "Flight Reader": [
+        pair("0", "0.5", "osd.latitude", "osd.longitude"),
+        pair("", "36.3", "osd.latitude", "osd.longitude"),
+        pair("0", "4", "osd.gpslevel"),
+        pair("0", "0.5", "gimbal.yaw", "gimbal.pitch", "gimbal.roll"),
+        pair("", "30", "gimbal.yaw", "gimbal.pitch", "gimbal.roll"),
+    ],
     "marks": [
         pair("0", "50", "Q"),
         pair(0.0, 0.5, "Lat", "Lon"),

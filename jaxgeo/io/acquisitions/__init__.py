@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
+from jaxgeo.io.acquisitions.colmap import read_colmap
 from jaxgeo.io.acquisitions.detect import read_acquisition
 from jaxgeo.io.acquisitions.dji_subtitles import read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
+from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
+from jaxgeo.io.acquisitions.litchi import read_litchi
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
+from jaxgeo.io.acquisitions.micmac import read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority, read_orthority_cameras
 from jaxgeo.io.acquisitions.positions import with_positions
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, for_each
@@ -32,9 +36,13 @@ __all__ = [
     "read_acquisition",
     "read_acquisitions",
     "read_airdata",
+    "read_colmap",
     "read_dji_subtitles",
     "read_drone_images",
+    "read_flight_reader",
+    "read_litchi",
     "read_metashape_cameras",
+    "read_micmac",
     "read_orthority",
     "read_orthority_cameras",
     "read_sbet",

@@ -1,4 +1,4 @@
-"""Image positions by name or number: OpenDroneMap's geo.txt and shots.geojson, DJI's MRK files, tables."""
+"""Image positions by name, number or time: OpenDroneMap's geo.txt and shots.geojson, DJI's marks, RTKLIB, tables."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from jaxgeo.io._json import read_json, shown, value_of
 from jaxgeo.io._map_grid import projection_text
 from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, read_orientation_columns
 from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions._rtklib import is_solutions, read_solutions, shares
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
+from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
 _NUMBER = r"\s*(-?\d{1,12}(?:\.\d*)?)\s*"
@@ -34,6 +36,10 @@ MARK_FIELDS = ("week", "time of week", "Lat", "Lon", "Ellh", "sigma north", "sig
 GPS_EPOCH = 315_964_800.0  # s since 1970
 LEAP_SECONDS = 18.0  # GPS minus UTC, since 2017
 WEEK = 604_800.0  # s
+FIRST = 65_536  # characters looked at for the kind of a file
+ANTENNA = (
+    "Positions are the antenna's, in the base station's frame, taken to be WGS 84: no lever arm to the camera is added."
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,8 @@ class PositionTable:
     """Positions of n images: by `names` (n,), or `numbers` (n,) of the photos in a flight.
 
     `position` in rad and m above the ellipsoid, its height NaN without heights (`has_heights`); `sigma` (n, 3)
-    in m, north, east and down, or None; `time` (n,) in s since 1970 in UTC, or None; `assumed` sentences.
+    in m, north, east and down, or None; `time` (n,) in s since 1970 in UTC, or None; `assumed` sentences. A table of
+    times alone has neither; `is_track`: these are epochs of a receiver, to be interpolated. `quality` (n,) as RTKLIB's.
     """
 
     path: str
@@ -53,6 +60,8 @@ class PositionTable:
     sigma: np.ndarray | None = None
     time: np.ndarray | None = None
     assumed: tuple[str, ...] = ()
+    quality: np.ndarray | None = None
+    is_track: bool = False
 
 
 def form_of_positions(text: str) -> str | None:
@@ -62,6 +71,8 @@ def form_of_positions(text: str) -> str | None:
         return None
     if MARK.fullmatch(lines[0]):
         return "marks"
+    if is_solutions(text):
+        return "solutions"
     if text.lstrip()[:1] == "{" and all(
         f'"{word}"' in text for word in ("FeatureCollection", "filename", "translation")
     ):
@@ -75,8 +86,8 @@ def form_of_positions(text: str) -> str | None:
 
 def read_positions(path: str | os.PathLike[str], *, height_datum: str | float | None, crs: Any) -> PositionTable:
     """The positions in a file of any of these kinds. Raises `UnstatedDatum`, `TableError`, `VerticalDatumError`."""
-    form = form_of_positions(read_text(path, "file of positions"))
-    readers = {"marks": _of_marks, "shots": _of_shots, "geo": _of_geo, None: _of_table}
+    form = form_of_positions(read_text(path, "file of positions")[:FIRST])
+    readers = {"marks": _of_marks, "solutions": _of_solutions, "shots": _of_shots, "geo": _of_geo, None: _of_table}
     try:
         return readers[form](path, height_datum, crs)
     except VerticalDatumError as error:  # its message names an option of `read_dem`
@@ -126,6 +137,46 @@ def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
         sigma=None if no_sigma else sigma,
         time=None if no_time else GPS_EPOCH + WEEK * weeks + tows - LEAP_SECONDS,
         assumed=tuple(notes),
+    )
+
+
+def _of_solutions(path: Any, height_datum: Any, crs: Any) -> PositionTable:
+    if crs is not None:
+        raise TableError(f"{path}: its positions are latitudes and longitudes; leave crs= out.")
+    found = read_solutions(path)
+    notes = [*found.notes, ANTENNA]
+    if found.is_ellipsoidal is False and height_datum is None:
+        raise UnstatedDatum(f"{path}: its heights are geodetic, above a geoid that it does not name; {A_WRONG_GUESS}. "
+                            f"{CHOICES}")  # fmt: skip
+    if found.is_ellipsoidal is not False and height_datum not in (None, "ellipsoid"):
+        raise TableError(f"{path}: its heights are above the ellipsoid; leave height_datum= out.")
+    if found.is_ellipsoidal is None:
+        notes.append("Its heights are taken to be above the ellipsoid, RTKLIB's default.")
+    if not found.is_track:
+        notes.append("Its epochs are taken to be exposures, since they are not at a receiver's even times.")
+    known = (found.quality != 0) & ((found.lat != 0.0) | (found.lon != 0.0))
+    if not np.any(known):
+        raise TableError(f"{path}: no epoch has a solution (Q 0, or latitude and longitude zero).")
+    lat, lon, height, sigma = (one[known] for one in (found.lat, found.lon, found.height, found.sigma))
+    height = height if found.is_ellipsoidal is not False else ellipsoidal_heights(lon, lat, height, height_datum)
+    if np.all(sigma > 0.0):
+        notes.append(
+            f"Standard deviations are RTKLIB's own (sdn, sde, sdu); solutions: {shares(found.quality[known])}."
+        )
+    else:
+        notes.append(f"Standard deviations are zero, and not taken; solutions: {shares(found.quality[known])}.")
+    return PositionTable(
+        path=os.fspath(path),
+        form="RTKLIB solutions",
+        names=None,
+        numbers=None,
+        position=Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height),
+        has_heights=True,
+        sigma=sigma if np.all(sigma > 0.0) else None,
+        time=found.time[known],
+        assumed=tuple(notes),
+        quality=found.quality[known],
+        is_track=found.is_track,
     )
 
 

@@ -5,24 +5,23 @@ from __future__ import annotations
 import calendar
 import math
 import os
-import re
 import time as clock
 from collections.abc import Mapping
 
 from jaxgeo._checks import require_x64
-from jaxgeo._text_numbers import BLANKS, number_in
-from jaxgeo.io._csv import UNKNOWN_WORDS, CsvTable, read_csv
-from jaxgeo.io.acquisitions._flight_logs import LogRecord, acquisition_of_records
+from jaxgeo._text_numbers import number_in
+from jaxgeo.io._csv import CsvTable, read_csv
+from jaxgeo.io.acquisitions._flight_logs import acquisition_of_records
+from jaxgeo.io.acquisitions._log_tables import LogLayout, columns_of, photos_shown, records_of
 from jaxgeo.io.acquisitions.record import Acquisition
-from jaxgeo.io.errors import TableError
 from jaxgeo.io.sentinels import AIRDATA
 from jaxgeo.sensor import FrameCamera
 
 FORM = "flight log of AirData"
-METRES = {"feet": 0.3048, "ft": 0.3048, "meters": 1.0, "metres": 1.0, "m": 1.0}
-COLUMN = re.compile(r"\s*([^()]*?)\s*(?:\(([^()]*)\))?\s*")
-ANGLES = {"yaw": "gimbal_heading", "pitch": "gimbal_pitch", "roll": "gimbal_roll"}
-HEIGHTS = {"altitude": ("altitude_above_sealevel", "altitude"), "above_takeoff": ("height_above_takeoff",)}
+LAYOUT = LogLayout(
+    "latitude", "longitude", ("gimbal_heading",), ("gimbal_pitch",), ("gimbal_roll",),
+    ("altitude_above_sealevel", "altitude"), ("height_above_takeoff",), "isphoto",
+)  # fmt: skip
 
 
 def read_airdata(
@@ -52,12 +51,8 @@ def read_airdata(
     """
     require_x64()
     table = read_csv(path, FORM, (), known=("latitude", "longitude"))
-    columns = _columns(table)
-    where = _places(table, columns, takeoff_height is not None)
-    start = _start(table, columns)
-    records = [_record(table, columns, where, row, start) for row in range(len(table))]
-    photos = [record.name for record in records if _is_set(record.values.get("isphoto"))]
-    shown = f"{len(photos)} ({', '.join(photos[:5])}{', ...' if len(photos) > 5 else ''})" if photos else "none marked"
+    start = _start(table)
+    records = records_of(table, LAYOUT, takeoff_height is not None, lambda cells: _time(cells, start))
     return acquisition_of_records(
         path,
         FORM,
@@ -67,64 +62,18 @@ def read_airdata(
         takeoff_height=takeoff_height,
         cameras=cameras,
         camera=camera,
-        facts={"photos": shown},
+        facts={"photos": photos_shown(records, LAYOUT)},
         time_is_utc=start is not None,
     )
 
 
-def _columns(table: CsvTable) -> dict[str, tuple[int, str]]:
-    """Index and unit of each column, by its name in lower case."""
-    found: dict[str, tuple[int, str]] = {}
-    for index, written in enumerate(table.header):
-        parts = COLUMN.fullmatch(written)
-        name, unit = (written, "") if parts is None else (parts[1], parts[2] or "")
-        found.setdefault(name.lower(), (index, unit.lower()))
-    return found
+def _time(cells: Mapping[str, str], start: float | None) -> float:
+    return math.nan if start is None else start + _milliseconds(cells.get("time")) / 1e3
 
 
-def _places(table: CsvTable, columns: Mapping[str, tuple[int, str]], by_takeoff: bool) -> dict[str, tuple[int, float]]:
-    """Column index and unit factor for each quantity."""
-    wanted = {"lat": ("latitude",), "lon": ("longitude",)} | {ours: (name,) for ours, name in ANGLES.items()} | HEIGHTS
-    optional = "altitude" if by_takeoff else "above_takeoff"
-    found: dict[str, tuple[int, float]] = {}
-    for ours, names in wanted.items():
-        name = next((name for name in names if name in columns), None)
-        if name is None and ours != optional:
-            raise TableError(f"{table.path}: no column {names[0]}; found {', '.join(table.header)}.")
-        if name is None:
-            continue
-        index, unit = columns[name]
-        if ours in HEIGHTS and unit not in METRES:
-            raise TableError(f"{table.path}, column {table.header[index]}: its unit must be feet or meters.")
-        found[ours] = index, METRES[unit] if ours in HEIGHTS else 1.0
-    return found
-
-
-def _record(
-    table: CsvTable,
-    columns: Mapping[str, tuple[int, str]],
-    where: Mapping[str, tuple[int, float]],
-    row: int,
-    start: float | None,
-) -> LogRecord:
-    cells = table.cells[row]
-    values = {name: cells[index].strip() for name, (index, _) in columns.items()}
-    numbers: dict[str, float | None] = {"altitude": None, "above_takeoff": None}
-    for ours, (index, factor) in where.items():
-        cell = cells[index].strip(BLANKS)
-        if cell.lower() in UNKNOWN_WORDS:
-            numbers[ours] = None
-            continue
-        number = number_in(cell)
-        if number is None:
-            raise table.wrong(row, table.header[index], f"{cell[:60]!r} is not a number.")
-        numbers[ours] = factor * number
-    time = math.nan if start is None else start + _milliseconds(values.get("time")) / 1e3
-    return LogRecord(str(row), f"row {table.lines[row]}", values, numbers, time)
-
-
-def _start(table: CsvTable, columns: Mapping[str, tuple[int, str]]) -> float | None:
+def _start(table: CsvTable) -> float | None:
     """UTC in s since 1970 at the zero of the log's milliseconds; None if unknown."""
+    columns = columns_of(table)
     if "datetime" not in columns or "time" not in columns:
         return None
     for cells in table.cells:
@@ -141,7 +90,3 @@ def _start(table: CsvTable, columns: Mapping[str, tuple[int, str]]) -> float | N
 def _milliseconds(cell: str | None) -> float:
     number = number_in(cell or "")
     return math.nan if number is None else number
-
-
-def _is_set(cell: object) -> bool:
-    return str(cell).strip().lower() in ("1", "1.0", "true", "yes")

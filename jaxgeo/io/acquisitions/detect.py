@@ -19,10 +19,16 @@ from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
+from jaxgeo.io.acquisitions.colmap import FORM as COLMAP_FORM
+from jaxgeo.io.acquisitions.colmap import files_of_model, is_colmap, read_colmap
 from jaxgeo.io.acquisitions.dji_subtitles import CUE, read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
+from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
+from jaxgeo.io.acquisitions.litchi import read_litchi
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
+from jaxgeo.io.acquisitions.micmac import FORM as MICMAC_FORM
+from jaxgeo.io.acquisitions.micmac import files_of_orientations, read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.positions import with_table
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
@@ -61,8 +67,9 @@ class Form(NamedTuple):
 
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
-    an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, Metashape
-    cameras (XML), DJI video subtitles, AirData flight logs, a scene.
+    an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
+    model or MicMac orientations (folder or file), Metashape cameras (XML), DJI video subtitles, flight logs (AirData,
+    Litchi, Flight Reader), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
@@ -112,7 +119,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     """The kind of a file. Raises `TableError` if it is unknown, `FileNotFoundError`."""
     place = pathlib.Path(path)
     if place.is_dir():
-        return DRONE_IMAGES
+        return form_of_folder(place) or DRONE_IMAGES
     check_regular(place, TableError)
     try:
         with open(place, "rb") as file:
@@ -128,6 +135,13 @@ def form_of(path: str | os.PathLike[str]) -> Form:
             return form
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
+
+
+def form_of_folder(path: str | os.PathLike[str]) -> Form | None:
+    """The kind of a folder that is one block; None for a folder of images."""
+    if files_of_model(path) is not None:
+        return COLMAP
+    return MICMAC if files_of_orientations(path) else None
 
 
 def _of_scene(path: str | os.PathLike[str]) -> Acquisition:
@@ -185,6 +199,10 @@ def _is_image(path: pathlib.Path, head: bytes) -> bool:
     return head.startswith(IMAGES)
 
 
+def _is_colmap(path: pathlib.Path, head: bytes) -> bool:
+    return is_colmap(head)
+
+
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
     return UAS_LOCAL_SET in head or is_transport_stream(head) or bool(other_sets(head))
 
@@ -217,18 +235,27 @@ def _is_subtitles(path: pathlib.Path, head: bytes) -> bool:
     return text is not None and CUE.search(text) is not None and ("latitude" in text.lower() or "GPS" in text)
 
 
-def _is_flight_log(path: pathlib.Path, head: bytes) -> bool:
-    """Whether the header is AirData's: gimbal or compass angles, with their unit."""
-    text = text_of(head, is_cut=True)
-    if text is None or not text.strip():
-        return False
-    words = {name.strip(" '\"").lower() for name in header_of(text, {"latitude", "longitude"})}
-    return {"latitude", "longitude"} <= words and bool({"gimbal_heading(degrees)", "compass_heading(degrees)"} & words)
+def _is_log(*columns: str, one_of: tuple[str, ...]) -> Callable[[pathlib.Path, bytes], bool]:
+    """A test whether the header of a table has all columns, and one of the others, in any case."""
+
+    def is_log(path: pathlib.Path, head: bytes) -> bool:
+        text = text_of(head, is_cut=True)
+        if text is None or not text.strip():
+            return False
+        words = {name.strip(" '\"").lower() for name in header_of(text, set(columns))}
+        return set(columns) <= words and bool(set(one_of) & words)
+
+    return is_log
 
 
 def _is_metashape(path: pathlib.Path, head: bytes) -> bool:
     text = text_of(head, is_cut=True)
     return text is not None and text.lstrip()[:1] == "<" and "<document" in text and "<chunk" in text
+
+
+def _is_micmac(path: pathlib.Path, head: bytes) -> bool:
+    text = text_of(head, is_cut=True)
+    return text is not None and text.lstrip()[:1] == "<" and "<OrientationConique" in text
 
 
 def _is_table(path: pathlib.Path, head: bytes) -> bool:
@@ -259,6 +286,11 @@ TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", 
 PLACED = ("height_datum", "crs", "camera")
 IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
+COLMAP = Form(COLMAP_FORM, _is_colmap, read_colmap, PLACED)
+MICMAC = Form(MICMAC_FORM, _is_micmac, read_micmac, (*PLACED, "cameras"))
+OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)")
+OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw")
+OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "custom.updatetime [local]")
 FLIGHT_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
@@ -268,8 +300,17 @@ FORMS = (
     Form("MISB ST 0601 telemetry", _is_telemetry, read_telemetry, TELEMETRY),
     Form("scene file", _is_scene, _of_scene, ()),
     Form("subtitle file of DJI", _is_subtitles, read_dji_subtitles, FLIGHT_LOG),
-    Form("flight log of AirData", _is_flight_log, read_airdata, FLIGHT_LOG),
+    Form("flight log of AirData", _is_log("latitude", "longitude", one_of=OF_AIRDATA), read_airdata, FLIGHT_LOG),
+    Form("flight log of Litchi", _is_log("latitude", "longitude", one_of=OF_LITCHI), read_litchi, FLIGHT_LOG),
+    Form(
+        "flight log of Flight Reader",
+        _is_log("osd.latitude", "osd.longitude", one_of=OF_FLIGHT_READER),
+        read_flight_reader,
+        FLIGHT_LOG,
+    ),
     Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
+    COLMAP,
+    MICMAC,
     Form("file of positions", _is_positions, _of_positions, (*IMAGES_TAKE, "cameras")),
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),

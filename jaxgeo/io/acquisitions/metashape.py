@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import os
-import re
 import xml.etree.ElementTree as ET
 from typing import Any
 
 import numpy as np
-import pyproj
 
 from jaxgeo._checks import require_x64
-from jaxgeo._text_numbers import numbers_in, whole_in, words_of
-from jaxgeo.earth import Geodetic
-from jaxgeo.io._csv import POSE_COLUMNS
-from jaxgeo.io._text import read_text
+from jaxgeo._text_numbers import whole_in
+from jaxgeo.io.acquisitions._world_frames import check_on_earth, pose_of_ecef
+from jaxgeo.io.acquisitions._xml import numbers_of, root_of, rotation_near
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import AS_READ
-from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
-from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
+from jaxgeo.sensor import BrownConrady, FrameCamera
 
 MOST_PIXELS = 10_000_000  # largest image side and focal length
 FORM = "camera file of Metashape"
 WGS84_TAKEN = "The geocentric coordinates of the chunk are taken to be of WGS 84."
+NO_TRANSFORM = "there is no transform to the Earth: georeference the chunk in Metashape and export again"
 UNREAD = ("b2", "k4", "p3", "p4")  # unsupported terms: skew and higher distortion terms
 IDENTITY = (np.eye(3), np.zeros(3), 1.0)
-RADII = (6.3e6, 1e8)  # m from the centre of the Earth: plausible camera range
 
 
 def read_metashape_cameras(
@@ -69,7 +65,7 @@ def read_metashape_cameras(
             R, centre = R_up @ R, shift + scale * (R_up @ centre)
         poses.append((R, centre))
     R_ecef_from_camera, centres = map(np.array, zip(*poses, strict=True))
-    _check_on_earth(path, centres)
+    check_on_earth(path, centres, NO_TRANSFORM)
     unaligned = sum(one.find("transform") is None for one in chunk.iter("camera"))
     notes = [f"{unaligned} cameras are not aligned and are left out."] if unaligned else []
     return Acquisition(
@@ -77,40 +73,18 @@ def read_metashape_cameras(
         form=FORM,
         names=np.array([labels[row] for row in rows]),
         sensor=sensor_of(cameras, taken_by[rows]),
-        shots=shots_of(_pose(R_ecef_from_camera, centres)),
+        shots=shots_of(pose_of_ecef(centres, R_ecef_from_camera)),
         assumed=(WGS84_TAKEN, NO_ERRORS, AS_READ, NO_TIMES, *notes),
         facts={"images": f"{len(rows)} of {len(aligned) + unaligned}", "cameras": ", ".join(cameras)},
     )
 
 
 def _chunk(path: str | os.PathLike[str]) -> ET.Element:
-    text = read_text(path, FORM)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise TableError(f"{path}: XML with definitions of its own (DOCTYPE) is not read.")
-    try:
-        root = ET.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))
-    except ET.ParseError as error:
-        raise TableError(f"{path}: not an XML file, or cut off: {error}.") from error
+    root = root_of(path, FORM)
     chunk = root if root.tag == "chunk" else root.find("chunk")
     if chunk is None:
         raise TableError(f"{path}: there is no <chunk>, so it is no {FORM}.")
     return chunk
-
-
-def _numbers(where: str, element: ET.Element | None, count: int) -> np.ndarray:
-    text = "" if element is None or element.text is None else element.text
-    found = numbers_in(words_of(text))
-    if found is None or len(found) != count:
-        raise TableError(f"{where}: expected {count} numbers; got {text.strip()[:60]!r}.")
-    return np.array(found)
-
-
-def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix that is one except for rounding."""
-    left, values, right = np.linalg.svd(matrix)
-    if np.any(np.abs(values - 1.0) > 1e-3) or np.linalg.det(left @ right) < 0.0:
-        raise TableError(f"{where}: it is no rotation.")
-    return left @ right
 
 
 def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray, float]:
@@ -119,36 +93,19 @@ def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray,
     if transform is None or len(transform) == 0:
         return IDENTITY
     parts = {name: transform.find(name) for name in ("rotation", "translation", "scale")}
-    R = np.eye(3) if parts["rotation"] is None else _numbers(where, parts["rotation"], 9).reshape(3, 3)
-    shift = np.zeros(3) if parts["translation"] is None else _numbers(where, parts["translation"], 3)
-    scale = 1.0 if parts["scale"] is None else float(_numbers(where, parts["scale"], 1)[0])
+    R = np.eye(3) if parts["rotation"] is None else numbers_of(where, parts["rotation"], 9).reshape(3, 3)
+    shift = np.zeros(3) if parts["translation"] is None else numbers_of(where, parts["translation"], 3)
+    scale = 1.0 if parts["scale"] is None else float(numbers_of(where, parts["scale"], 1)[0])
     if scale <= 0.0:
         raise TableError(f"{where}: the scale {scale:g} is not above zero.")
-    return _rotation(where, R), shift, scale
-
-
-def _check_on_earth(path: Any, centres: np.ndarray) -> None:
-    """Raises `TableError` if cameras are not near the Earth, as in a block that is not georeferenced."""
-    radius = np.linalg.norm(centres, axis=1)
-    if np.any((radius < RADII[0]) | (radius > RADII[1])):
-        raise TableError(
-            f"{path}: there is no transform to the Earth, so its cameras have no place there (the first is "
-            f"{radius[0]:.6g} m from its centre); georeference the chunk in Metashape and export again."
-        )
-    height = np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2])
-    low, high, _ = POSE_COLUMNS["height_m"]
-    wrong = (height < low) | (height > high)
-    if np.any(wrong):
-        raise TableError(
-            f"{path}: a camera is {height[np.argmax(wrong)]:.6g} m above the ellipsoid, outside [{low:g}, {high:g}] m."
-        )
+    return rotation_near(where, R), shift, scale
 
 
 def _transform(path: Any, camera: ET.Element) -> tuple[np.ndarray, np.ndarray]:
     """(rotation of right, down, forward; centre) of a camera in its component."""
     where = f"{path}, camera {camera.get('label', '')}"
-    matrix = _numbers(where, camera.find("transform"), 16).reshape(4, 4)
-    return _rotation(where, matrix[:3, :3]), matrix[:3, 3]
+    matrix = numbers_of(where, camera.find("transform"), 16).reshape(4, 4)
+    return rotation_near(where, matrix[:3, :3]), matrix[:3, 3]
 
 
 def _label(path: Any, sensors: dict[str, ET.Element], camera: ET.Element) -> str:
@@ -174,7 +131,7 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
         raise TableError(f"{where}: there is no resolution of whole numbers above zero, width and height.")
     written = [one for one in calibration if one.text and one.text.strip()]
-    terms = {one.tag.lower(): float(_numbers(f"{where}, {one.tag}", one, 1)[0]) for one in written}
+    terms = {one.tag.lower(): float(numbers_of(f"{where}, {one.tag}", one, 1)[0]) for one in written}
     turned = [key for key in UNREAD if terms.get(key, 0.0) != 0.0]
     if turned:
         raise TableError(f"{where}: {turned[0]} is not zero; it is not read. Optimise the cameras without it.")
@@ -195,18 +152,3 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
         principal_px=((width - 1.0) / 2.0 + terms.get("cx", 0.0), (height - 1.0) / 2.0 + terms.get("cy", 0.0)),
         distortion=None if is_perfect else lens,
     )
-
-
-def _pose(R_ecef_from_camera: np.ndarray, centres: np.ndarray) -> Pose:
-    """Poses of bodies that carry the cameras in `Mount.nadir()`."""
-    lon, lat, height = pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)
-    lon, lat = np.deg2rad(lon), np.deg2rad(lat)
-    sin, cos = np.sin, np.cos
-    north = np.stack([-sin(lat) * cos(lon), -sin(lat) * sin(lon), cos(lat)], axis=-1)
-    east = np.stack([-sin(lon), cos(lon), np.zeros_like(lon)], axis=-1)
-    down = np.stack([-cos(lat) * cos(lon), -cos(lat) * sin(lon), -sin(lat)], axis=-1)
-    R_ned_from_ecef = np.stack([north, east, down], axis=-2)
-    R = R_ned_from_ecef @ R_ecef_from_camera @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T
-    pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
-    position = Geodetic(lat=lat, lon=lon, height=height)
-    return Pose(position, np.arctan2(R[:, 1, 0], R[:, 0, 0]), pitch, np.arctan2(R[:, 2, 1], R[:, 2, 2]))

@@ -15,6 +15,7 @@ import pyproj
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io.acquisitions._position_tables import PositionTable, read_positions
+from jaxgeo.io.acquisitions._tracks import at_times
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
 from jaxgeo.uncertainty.sources import Position
@@ -35,11 +36,14 @@ def with_positions(
 ) -> Acquisition:
     """Exposures with positions and position errors from a file instead of their own.
 
-    Supported are OpenDroneMap's `geo.txt` and report `shots.geojson`, DJI's `Timestamp.MRK`, and tables with the
-    columns of `read_orientations` for names and positions, including `sigma_north_m`, `sigma_east_m`, `sigma_down_m`.
-    Names match with or without their extension, in any case; marks match images by the four digits in the name, else
-    by time in UTC. Exposures that are missing in the file are left out, and named in
-    `assumed`. If it has no heights, those of the exposures are kept.
+    Supported are OpenDroneMap's `geo.txt` and report `shots.geojson`, DJI's `Timestamp.MRK`, RTKLIB's solutions
+    (`.pos`, latitude, longitude and height), and tables with the columns of `read_orientations` for names and
+    positions, including `sigma_north_m`, `sigma_east_m`, `sigma_down_m`. Names match with or without their extension,
+    in any case; marks match images by the four digits in the name, else by time in UTC. Solutions of RTKLIB match by
+    time in UTC (GPS time less its leap seconds): epochs at a receiver's even times are interpolated, others (camera
+    events) are those of images up to 1 s away; the positions are the antenna's, without a lever arm. Exposures that
+    are missing in the file are left out, and named in `assumed`. If it has no heights, those of the exposures are
+    kept.
 
     - `height_datum`: datum of the file's heights, unless the file states it, as marks do.
     - `crs`: the CRS of its positions, if they are projected and the file does not state it.
@@ -54,7 +58,10 @@ def with_positions(
 
 def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
     """As `with_positions`, for positions already read."""
+    is_track = table.is_track
+    table = at_times(found, table) if is_track else table
     rows, by = _joined(found, table)
+    by = "time" if is_track else by
     kept = np.flatnonzero(rows >= 0)
     if not len(kept):
         raise TableError(_none_joined(found, table))
@@ -86,7 +93,7 @@ def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> Non
     """Raises `TableError` if the times of images read one by one and of a table are not of one flight, or if two
     images share a number. Images joined by name or by time need no check."""
     numbered = [one for one in images if all(map(_numbers_in, one.names))]
-    if table.names is not None or len(numbered) < 2:
+    if table.names is not None or table.numbers is None or len(numbered) < 2:
         return
     each = [one.shots for one in numbered]
     found = dataclasses.replace(
@@ -107,7 +114,8 @@ def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
     """(table row of each exposure, -1 if missing; the join key)."""
     if table.names is not None:
         return _by_name(found, [str(name) for name in table.names]), "name"
-    assert table.numbers is not None
+    if table.numbers is None:
+        return _by_time(found, table), "time"
     numbers = [_numbers_in(name) for name in found.names]
     if all(numbers):
         row_of = {int(number): row for row, number in enumerate(table.numbers)}
@@ -145,8 +153,8 @@ def _stem(name: str) -> str:
 def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
     if table.time is None or not found.time_is_utc:
         raise TableError(
-            f"{table.path}: photos match by number and time, but {found.path} has no numbers of four digits in its "
-            f"names, and no times in UTC."
+            f"{table.path}: photos match by {'number and ' if table.numbers is not None else ''}time, but {found.path} "
+            f"has {'no numbers of four digits in its names, and ' if table.numbers is not None else ''}no times in UTC."
         )
     apart = np.abs(np.asarray(found.shots.time)[:, None] - table.time[None, :])
     nearest = np.argmin(apart, axis=1)
@@ -182,7 +190,11 @@ def _check_near(found: Acquisition, table: PositionTable, kept: np.ndarray, rows
 
 
 def _none_joined(found: Acquisition, table: PositionTable) -> str:
-    there: Any = table.names if table.names is not None else table.numbers
+    there: Any = next((one for one in (table.names, table.numbers) if one is not None), None)
+    if there is None:
+        first, last = (np.datetime64(int(one), "s") for one in (np.min(table.time), np.max(table.time)))  # type: ignore[arg-type]
+        own = np.datetime64(int(np.asarray(found.shots.time)[0]), "s")
+        return f"{table.path}: no image was taken at one of its times, {first} to {last} (UTC); the first is of {own}."
     return (
         f"{table.path}: it has none of the images: they are {_some(found.names)}, and it has "
         f"{_some(np.asarray(there).astype(str))}."

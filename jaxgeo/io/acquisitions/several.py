@@ -14,7 +14,15 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.io.acquisitions._exposure_names import with_file_names
 from jaxgeo.io.acquisitions._position_tables import read_positions
-from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, WrongOption, checked_options, form_of, reader_of
+from jaxgeo.io.acquisitions.detect import (
+    DRONE_IMAGES,
+    Form,
+    WrongOption,
+    checked_options,
+    form_of,
+    form_of_folder,
+    reader_of,
+)
 from jaxgeo.io.acquisitions.drone_images import ENDINGS
 from jaxgeo.io.acquisitions.positions import check_one_flight
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum
@@ -77,7 +85,8 @@ def read_acquisitions(
 ) -> AcquisitionSet:
     """Read the exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop others.
 
-    `paths` and the options `how` are those of `read_acquisition`; a folder stands for its JPEG and TIFF images.
+    `paths` and the options `how` are those of `read_acquisition`; a folder stands for its JPEG and TIFF images, unless
+    it holds a COLMAP model or MicMac orientations.
     Each file is read alone: statements of one file (such as standard deviations of its position) are never applied to
     another. With several files, records that have only a number, as in KLV and SBET, are named with their file:
     "video.ts/7". An option applies to the files whose reader accepts it; with `positions`, an image that is missing in
@@ -154,7 +163,8 @@ def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
     for name in [os.fspath(one) for one in names]:
         if not os.path.exists(name):
             raise FileNotFoundError(f"{name}: there is no such file.")
-        inside, others = _in_folder(name) if os.path.isdir(name) else ([name], [])
+        is_images = os.path.isdir(name) and form_of_folder(name) is None
+        inside, others = _in_folder(name) if is_images else ([name], [])
         for file in inside:
             found.setdefault(os.path.realpath(file), file)
         if others:

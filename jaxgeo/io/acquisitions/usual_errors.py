@@ -13,7 +13,12 @@ ATTITUDE = (0.3, 0.1, 0.1)  # deg heading, pitch, roll: a small inertial system
 READINGS = 0.1  # deg: encoders of a gimbal on such a system
 LEVEL = {"yaw": 1.0}  # deg, of a drone gimbal relative to level and north: its yaw depends on a compass
 LEVEL_ELSE = 0.5  # deg: its other angles
-OF_DRONES = ("subtitle file of DJI", "flight log of AirData")  # whose pose has the angles of such a gimbal
+OF_DRONES = (
+    "subtitle file of DJI",
+    "flight log of AirData",
+    "flight log of Litchi",
+    "flight log of Flight Reader",
+)  # whose pose has the angles of such a gimbal
 
 
 def with_usual_errors(found: Acquisition) -> Acquisition:
