@@ -109,6 +109,7 @@ LONG = ("register",)  # whose image is rendered first
 OF_BOUNDS = ("study gu2017",)  # for which an extent must be given
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in sorted(commands_with_dem())],
@@ -188,6 +189,7 @@ def test_archives_are_listed(home: pathlib.Path) -> None:
     assert told["cache"]["folder"] == str(home / ".cache" / "jaxgeo" / "dem")
 
 
+@pytest.mark.costly
 def test_a_place_an_extent_and_images(server: Served, home: pathlib.Path) -> None:
     """The model of a place holds all of its circle; of an image, what its corners see."""
     prepare(pathlib.Path(), f"jaxgeo locate {IMAGE}")

@@ -131,6 +131,7 @@ def test_overlaps_of_a_folder_are_of_consecutive_images_also_of_two_cameras(here
     assert pairs[1]["far"] > same[1]["far"]
 
 
+@pytest.mark.costly
 def test_pointing_from_an_image_is_that_from_its_scene(here: pathlib.Path) -> None:
     target = ("--target", f"{LAT - 0.002},{LON},300")
     target += ("--target-datum", "ellipsoid")
@@ -172,6 +173,7 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("arguments, words", MISTAKES)
 def test_mistakes(here: pathlib.Path, arguments: list[str], words: list[str]) -> None:
     scene_of("DJI_0042.JPG")
@@ -273,6 +275,7 @@ def test_outlines_of_detections_are_in_every_format(here: pathlib.Path, ending: 
         assert shapely.Polygon(ring).symmetric_difference(shape).area < 1e-3 * shape.area
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "arguments, words",
     [

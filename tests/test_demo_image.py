@@ -63,6 +63,7 @@ def test_tags_err_by_draws_of_the_usual_errors(made):
     assert np.all((size > 0.5) & (size < 1.6)), size
 
 
+@pytest.mark.costly
 def test_the_datum_has_to_be_stated(made):
     with pytest.raises(io.UnstatedDatum, match="height_datum"):
         io.read_acquisition(made.path)

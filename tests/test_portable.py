@@ -24,7 +24,16 @@ import pytest
 import jaxgeo
 from jaxgeo._record import Record
 from jaxgeo.demo import scene_file
-from jaxgeo.io import DemError, DemFiles, MapRaster, OrthoWriter, open_dem, read_acquisition, read_acquisitions
+from jaxgeo.io import (
+    DemCache,
+    DemError,
+    DemFiles,
+    MapRaster,
+    OrthoWriter,
+    open_dem,
+    read_acquisition,
+    read_acquisitions,
+)
 from jaxgeo.ortho import Rectifier
 from tests.support import looks
 from tests.support.drone_image_files import packet, write_image
@@ -88,7 +97,7 @@ def filled(cls: type) -> Any:
     return made
 
 
-SPECIAL = {DemFiles, OrthoWriter, Rectifier}  # which have tests of their own below
+SPECIAL = {DemCache, DemFiles, OrthoWriter, Rectifier}  # which have tests of their own below
 
 
 def test_what_public_functions_give_loses_no_digit() -> None:
@@ -103,6 +112,13 @@ def test_what_public_functions_give_loses_no_digit() -> None:
         again = pickle.loads(without_jax(made))
         assert type(again) is cls
         assert leaves_of(again) == leaves_of(made), name
+
+
+def test_a_cache_of_elevation_models_travels(tmp_path: pathlib.Path) -> None:
+    cache = DemCache(tmp_path, largest=1_000_000)
+    cache.set_entry("key", {"a": 1})
+    again = pickle.loads(without_jax(cache))
+    assert (again.folder, again.largest, again.entry("key")) == (cache.folder, cache.largest, {"key": "key", "a": 1})
 
 
 def test_files_that_were_read_travel(tmp_path: pathlib.Path) -> None:

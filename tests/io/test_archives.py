@@ -99,6 +99,7 @@ def same_heights(found: FetchedDem, whole: jaxgeo.Dem, bounds: tuple[float, floa
         assert abs(float(terrain.height_at(place)) - float(whole.height_at(place))) < 1e-6
 
 
+@pytest.mark.costly
 def test_parts_of_a_tile_are_those_of_the_whole(server: Served, cache: DemCache, archive: pathlib.Path) -> None:
     found = fetched(server, cache)
     assert found.tiles == (NAME,)
@@ -147,11 +148,13 @@ def test_a_datum_of_the_caller_needs_no_geoid_grid(server: Served, cache: DemCac
 # Faults of the network
 
 
+@pytest.mark.costly
 def test_a_connection_that_is_cut_is_tried_again(server: Served, cache: DemCache, archive: pathlib.Path) -> None:
     server.fail(NAME, "cut", times=1)
     same_heights(fetched(server, cache), by_hand(archive))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("how", ["cut", "damage", "503", "403"])
 def test_a_server_that_fails_is_given_up_in_a_line(server: Served, cache: DemCache, how: str) -> None:
     server.fail(NAME, how)
@@ -166,12 +169,14 @@ def test_a_server_that_fails_is_given_up_in_a_line(server: Served, cache: DemCac
     fetched(server, again(cache))  # nothing of the failure was kept
 
 
+@pytest.mark.costly
 def test_slow_answers_are_given_up(server: Served, cache: DemCache) -> None:
     server.fail(NAME, "slow")
     with pytest.raises(ArchiveError, match="no answer within 1 s"):
         fetched(server, cache)
 
 
+@pytest.mark.costly
 def test_a_server_that_is_not_there(archive: pathlib.Path, cache: DemCache) -> None:
     with serving(archive) as server:
         pass
@@ -217,12 +222,14 @@ def test_without_a_list_nobody_knows_the_sea(tmp_path: pathlib.Path, cache: DemC
         fetched(server, cache)
 
 
+@pytest.mark.costly
 def test_an_error_page_is_no_list(tmp_path: pathlib.Path, cache: DemCache) -> None:
     (tmp_path / "tileList.txt").write_text("<html>Please log in</html>")
     with serving(tmp_path) as server, pytest.raises(ArchiveError, match="this is not the archive's list of tiles"):
         fetched(server, cache)
 
 
+@pytest.mark.costly
 def test_servers_that_answer_no_head(archive: pathlib.Path, cache: DemCache) -> None:
     with serving(archive) as server:
         server.fail("HEAD", "405")
@@ -252,6 +259,7 @@ def test_outside_an_archive_another_is_named(server: Served, cache: DemCache) ->
         fetch_dem("srtm", bounds=(5.0, 70.0, 5.01, 70.01), cache=cache, mirror=server.url)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("edge", [50, 60, 70, 80, 85])
 @pytest.mark.parametrize("south", [False, True])
 def test_where_the_columns_change_tiles_are_joined(
@@ -345,11 +353,13 @@ def test_an_address_with_fields_is_an_archive(server: Served, cache: DemCache) -
     assert found.read(vertical_datum="ellipsoid").posts.shape == (256, 256)
 
 
+@pytest.mark.costly
 def test_a_folder_can_be_the_mirror(archive: pathlib.Path, cache: DemCache) -> None:
     found = fetch_dem(bounds=HERE, cache=cache, mirror=f"copernicus={archive} proj={archive}", offline=False)
     same_heights(found, by_hand(archive))
 
 
+@pytest.mark.costly
 def test_tiles_in_gzip_are_read_as_a_whole(tmp_path: pathlib.Path, cache: DemCache) -> None:
     """SRTM's own format: 1201 x 1201 big-endian integers, rows from the north, posts on the edges of the degree."""
     lat, lon = np.linspace(37.0, 36.0, 1201), np.linspace(-85.0, -84.0, 1201)
@@ -365,6 +375,7 @@ def test_tiles_in_gzip_are_read_as_a_whole(tmp_path: pathlib.Path, cache: DemCac
     assert abs(float(found.read().height_at(place)) - expected) < 1e-3
 
 
+@pytest.mark.costly
 def test_tiles_that_overlap_are_one_terrain(tmp_path: pathlib.Path, cache: DemCache) -> None:
     """As 3DEP: NAD83, cells whose corners are on whole degrees, six more on each side."""
     posts, more = 180, 6
@@ -404,6 +415,7 @@ def test_offline_it_says_what_is_missing_and_where_to_put_it(
     same_heights(found, by_hand(archive))
 
 
+@pytest.mark.costly
 def test_a_damaged_part_is_fetched_anew(server: Served, cache: DemCache, archive: pathlib.Path) -> None:
     found = fetched(server, cache)
     content = bytearray(pathlib.Path(found.files[0]).read_bytes())
@@ -414,6 +426,7 @@ def test_a_damaged_part_is_fetched_anew(server: Served, cache: DemCache, archive
     same_heights(fetched(server, again(cache)), by_hand(archive))
 
 
+@pytest.mark.costly
 def test_damaged_entries_count_as_absent(server: Served, cache: DemCache, archive: pathlib.Path) -> None:
     fetched(server, cache)
     for number, path in enumerate(sorted((cache.folder / "entries").glob("*.json"))):
@@ -421,6 +434,7 @@ def test_damaged_entries_count_as_absent(server: Served, cache: DemCache, archiv
     same_heights(fetched(server, again(cache)), by_hand(archive))
 
 
+@pytest.mark.costly
 def test_a_changed_tile_is_not_mixed_with_its_former_parts(tmp_path: pathlib.Path, cache: DemCache) -> None:
     (path,) = write_archive(tmp_path, "copernicus", [CELL])
     elsewhere = (-84.9, 36.9, -84.89, 36.91)
@@ -436,6 +450,7 @@ def test_a_changed_tile_is_not_mixed_with_its_former_parts(tmp_path: pathlib.Pat
     assert abs(float(found.read().height_at(place)) - heights_at(np.array(-84.29), np.array(36.31)) - 10.0) < 1.0
 
 
+@pytest.mark.costly
 def test_the_cache_is_bounded(server: Served, cache: DemCache) -> None:
     """The least recently used parts go first; what is in use stays; one run cannot need more than all."""
     found = fetched(server, cache, vertical_datum="ellipsoid")
@@ -456,6 +471,7 @@ def test_the_cache_is_bounded(server: Served, cache: DemCache) -> None:
         fetched(server, DemCache(cache.folder, largest=size // 2), vertical_datum="ellipsoid")
 
 
+@pytest.mark.costly
 def test_a_full_disk_is_told(server: Served, cache: DemCache) -> None:
     """A limit on the size of files stands in for it: it fails as a full disk does, in the middle of a file."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -608,6 +624,7 @@ def test_accuracy_over_hills_does_not_depend_on_how_far_the_model_extends(
         assert abs(float(getattr(mine, name)) - float(getattr(whole, name))) < 1e-6  # m
 
 
+@pytest.mark.costly
 def test_across_the_date_line(tmp_path: pathlib.Path, cache: DemCache) -> None:
     write_archive(tmp_path, "copernicus", [(10, 179), (10, -180)], posts=240, block=128, heights=plane_at)
     with serving(tmp_path) as server:
@@ -622,6 +639,7 @@ def test_across_the_date_line(tmp_path: pathlib.Path, cache: DemCache) -> None:
 # Writing, and geoid grids
 
 
+@pytest.mark.costly
 def test_a_written_model_has_the_same_heights(server: Served, cache: DemCache, tmp_path: pathlib.Path) -> None:
     found = fetched(server, cache)
     write_dem(tmp_path / "ground.tif", found)
@@ -645,6 +663,7 @@ def test_a_window_of_the_geoid_is_that_of_the_whole_grid(
     assert found.vertical_datum.stat().st_size < 0.05 * (archive / "us_nga_egm08_25.tif").stat().st_size
 
 
+@pytest.mark.costly
 def test_outside_a_geoid_grid_another_datum_is_asked_for(
     server: Served, cache: DemCache, tmp_path: pathlib.Path
 ) -> None:
@@ -655,6 +674,7 @@ def test_outside_a_geoid_grid_another_datum_is_asked_for(
         fetch_dem("3dep", bounds=(-149.6, 64.4, -149.5, 64.5), cache=cache, mirror=f"3dep={near.url} proj={near.url}")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("fault", ["wrong checksum", "cut", "absent", "no list"])
 def test_a_geoid_grid_is_verified(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
     folder = tmp_path / "proj"

@@ -149,6 +149,7 @@ def test_rays_too_far_apart_are_refused_or_grouped(ridge: pathlib.Path) -> None:
         intersect_files(low, files, max_posts=20)
 
 
+@pytest.mark.costly
 def test_rays_that_have_no_answer(ridge: pathlib.Path) -> None:
     files = open_dem(ridge / "shared", vertical_datum="ellipsoid")
     rays = rays_to(np.full(5, 100.0), np.full(5, 100.0), 110.0, 0.0, 0.5, 2000.0)

@@ -56,7 +56,9 @@ def assert_same_lines(one: tuple[Sensor, Shot], other: tuple[Sensor, Shot]) -> N
     np.testing.assert_allclose(others, rays, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", SENSORS)
+@pytest.mark.parametrize(
+    "kind", [one if one == "level" else pytest.param(one, marks=pytest.mark.costly) for one in SENSORS]
+)
 def test_a_scene_is_read_as_it_was_written(kind: str, tmp_path: pathlib.Path) -> None:
     sensor, shot = of(kind)
     errors = [
@@ -87,6 +89,7 @@ OTHERS = {
 }  # fmt: skip
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_has_no_key_becomes_position_and_attitude_of_the_camera(name: str, tmp_path: pathlib.Path) -> None:
     gimbal, mount, readings, pose = OTHERS[name]

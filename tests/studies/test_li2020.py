@@ -88,6 +88,7 @@ def test_compensation(report) -> None:
     assert example.off == pytest.approx(1.6, abs=0.01)
 
 
+@pytest.mark.costly
 def test_lines_of_sight_of_table_4(report) -> None:
     azimuth, depression, swapped = np.array(
         [(one.azimuth, one.depression, one.swapped_azimuth) for one in report.sightings]

@@ -116,12 +116,14 @@ class ArchiveGround:
             return
         with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as pool:
             tasks = [pool.submit(self._fetch_parts, header, places) for header, places in wanted.items()]
+            is_done = False
             try:
                 for task in tasks:
                     task.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+                is_done = True
+            finally:
+                if not is_done:
+                    pool.shutdown(wait=False, cancel_futures=True)
 
     def _fetch_parts(self, header: TileHeader, places: list[Place]) -> None:
         unknown = []
