@@ -141,6 +141,7 @@ def test_only_the_readings_of_the_gimbal_are_numbers(shots_file) -> None:
     assert next(csv.DictReader(io.StringIO(locate_shots(path).stdout)))["gimbal_serial"] == "007"
 
 
+@pytest.mark.costly
 def test_degrees_have_ten_decimals(shots_file) -> None:
     row = next(csv.DictReader(io.StringIO(locate_shots(shots_file(all_rows())).stdout)))
     for name in ("fix_lat_deg", "fix_lon_deg"):

@@ -13,6 +13,8 @@ from jaxgeo.demo.drone import tagged
 from jaxgeo.demo.scenery import LIGHT
 from jaxgeo.io.acquisitions.usual_errors import POSITION
 
+pytestmark = pytest.mark.costly
+
 COLUMNS, ROWS = 64, 48  # as in the examples of docstrings, which compile the same program
 DATUM = "EPSG:5773"
 

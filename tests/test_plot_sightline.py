@@ -144,6 +144,7 @@ def test_a_window_of_a_section(ax) -> None:
         sight_section(a_section(), ax, window=(5000.0, 6000.0))
 
 
+@pytest.mark.costly
 def test_sections_that_cannot_be(demo) -> None:
     ray, dem = demo
     with pytest.raises(ValueError, match="reach must be a positive length in m; got 0"):

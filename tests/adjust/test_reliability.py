@@ -149,6 +149,7 @@ def test_what_an_error_shows_of_itself_is_its_redundancy_number(good: Adjustment
     assert shown[0] == pytest.approx(reliability(good).redundancy[row, 0], abs=1e-3)
 
 
+@pytest.mark.costly
 def test_least_errors_that_are_found_grow_where_less_is_checked(good: Adjustment) -> None:
     found = reliability(good, alpha=0.001)
     assert found.critical == pytest.approx(3.2905, abs=1e-4)

@@ -56,9 +56,8 @@ def assert_same_lines(one: tuple[Sensor, Shot], other: tuple[Sensor, Shot]) -> N
     np.testing.assert_allclose(others, rays, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "kind", [one if one == "level" else pytest.param(one, marks=pytest.mark.costly) for one in SENSORS]
-)
+@pytest.mark.costly
+@pytest.mark.parametrize("kind", SENSORS)
 def test_a_scene_is_read_as_it_was_written(kind: str, tmp_path: pathlib.Path) -> None:
     sensor, shot = of(kind)
     errors = [

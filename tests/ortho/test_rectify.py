@@ -455,6 +455,7 @@ def test_orthoimages_that_cannot_be() -> None:
         Orthoimage.of(np.zeros((3, 3)), grid, np.ones((2, 3), bool))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("mask_hidden", [False, True])
 def test_cells_beside_the_terrain_are_never_filled(mask_hidden: bool) -> None:
     """Also where a whole block, as cells are filled together, has no ground."""

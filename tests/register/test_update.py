@@ -444,6 +444,7 @@ def test_circle_of_a_round_error_is_2_146_standard_deviations():
     np.testing.assert_allclose(circular_error(jnp.diag(jnp.asarray([278.0, 68.0]) ** 2), 0.9), 462.5, atol=0.1)
 
 
+@pytest.mark.costly
 def test_ties_behind_the_camera_have_no_update():
     behind = Geodetic.from_degrees(lat=np.full(20, 30.0), lon=np.full(20, 103.5), height=np.zeros(20))
     ties = TiePoints(UV, behind, jnp.zeros((20, 2, 2)))

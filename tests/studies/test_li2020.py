@@ -22,6 +22,8 @@ from jaxgeo.studies.li2020.influence import folding
 from jaxgeo.studies.li2020.relief import Relief, reliefs
 from jaxgeo.studies.li2020.strips import AS_IN_THE_PAPER, MOUNTAINS, PLAIN
 
+pytestmark = pytest.mark.costly
+
 
 @pytest.fixture(scope="module")
 def report() -> li2020.Report:

@@ -27,6 +27,8 @@ from jaxgeo.studies.li2023.tilts import printed_rms, rms_on_slope
 from jaxgeo.studies.scenes import rms_slope_of
 from jaxgeo.uncertainty import presets, propagate
 
+pytestmark = pytest.mark.costly
+
 KEY = jax.random.key(2023)
 FRAMES = (60.0, 65.0, 70.0, 74.0, 78.0)  # deg
 # RMS in m of an error of height alone, and of all, by the standard deviation of height in m: computed with NumPy from

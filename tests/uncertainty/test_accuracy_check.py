@@ -61,6 +61,7 @@ def test_samples_hold_what_the_accuracy_says(checked: AccuracyCheck) -> None:
     assert str(checked).startswith(str(checked.accuracy))
 
 
+@pytest.mark.costly
 def test_a_share_of_sobol_points_is_the_mean_over_their_scrambles(checked: AccuracyCheck) -> None:
     radius = float(checked.accuracy.circular)
     drawn = dataclasses.replace(checked.sampled, scrambles=16)

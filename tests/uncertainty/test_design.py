@@ -15,6 +15,8 @@ from jaxgeo.uncertainty._budget import sigmas_of, with_sigmas
 from jaxgeo.uncertainty._design import InverseCost, Outcome, certified_design, design
 from tests.support import looks
 
+pytestmark = pytest.mark.costly
+
 UV, GROUND = looks.LEVEL_UV, looks.LEVEL
 a_sensor, a_shot, some_errors = looks.level_sensor, looks.level_shot, looks.level_errors
 

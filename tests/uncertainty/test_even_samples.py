@@ -40,6 +40,7 @@ def numbers_of(draws: Sobol, size: int, leading: int, count: int, key: jax.Array
     return jax.vmap(one)(jnp.arange(count))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("size, leading", [(1, 4), (3, 4), (5, 4), (7, 7)])
 def test_the_numbers_of_a_trial_are_those_of_the_program(size: int, leading: int) -> None:
     draws = Sobol(scrambles=17)
