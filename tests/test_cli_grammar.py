@@ -329,7 +329,7 @@ REFUSED = [
         f"rectify {SMALL} --interpolation bilinar -o a.tif",
         r"--interpolation 'bilinar': expected nearest or bilinear or cubic; did you mean bilinear\? .*",
     ),
-    (f"plan {SCENE} here", r"here: unexpected argument; .*\? See jaxgeo plan --help\."),
+    ("doctor here", r"here: unexpected argument; .*\? See jaxgeo doctor --help\."),
     (f"footprint {SCENE} --traceback", r"--traceback: no such option\. See jaxgeo footprint --help\."),
     ("footprint --scene none.toml --dem dem.tif", r"none\.toml: .*"),
     ("footprint --scene scene.toml --dem none.tif", r".*none\.tif.*"),

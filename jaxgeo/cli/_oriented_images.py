@@ -11,7 +11,7 @@ import jaxgeo
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
-from jaxgeo.cli._option_names import as_typed
+from jaxgeo.cli._option_names import as_typed, typed
 from jaxgeo.cli._screen import print_note
 from jaxgeo.observation import Exposure
 
@@ -59,8 +59,7 @@ class OrientedImages:
         if self.folder is not None:
             raise UserError(f"--images {self.folder} is for a file with the poses of many; leave out --scene.")
         for name in given:
-            option = "source-crs" if name == "crs" else name.replace("_", "-")
-            raise UserError(f"--{option} is for images that state their own poses; leave it out with --scene.")
+            raise UserError(f"{typed(name)} is for images that state their own poses; leave it out with --scene.")
 
     def _check_kinds(self) -> None:
         """Raises `UserError` for files that name no images, and for images beside --images."""
