@@ -1,4 +1,4 @@
-"""`jaxgeo doctor`: what is there, what is absent and how to get it; a fault is told, not raised."""
+"""`jaxgeo doctor`: what is there, what is absent and how to get it; a fault is a line, not a traceback."""
 
 from __future__ import annotations
 

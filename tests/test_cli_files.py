@@ -285,7 +285,7 @@ def test_outlines_of_detections_are_in_every_format(here: pathlib.Path, ending: 
         (["DJI_0042.JPG", "--detections", "f.csv", "--pixel-origin", "x"], ["--pixel-origin x: expected centre"]),
         (["DJI_0042.JPG", "--detections", "f.csv", "--shard", "1/2"], ["--shard and --detections do not go together"]),
         (["--scene", "scene.toml", "--detections", "f.csv"], ["--detections f.csv needs FILEs of images"]),
-        (["DJI_0042.JPG", "--detections", "f.csv"], ["x.jpg: no detection is in an image that was read, such as DJI"]),
+        (["DJI_0042.JPG", "--detections", "f.csv"], ["they name x.jpg; the images are DJI_0042.JPG"]),
         (["DJI_0042.JPG", "--detections", "none.csv"], ["none.csv"]),
         (["DJI_0042.JPG", "--detections", "f.csv", "--cluster", "local:1"], ["f.csv and --cluster do not go together"]),
     ],

@@ -12,7 +12,7 @@ from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import single
 from jaxgeo.cli._option_names import as_typed, reason_not_read, typed
-from jaxgeo.cli._options import OptionGroup
+from jaxgeo.cli._options import ExposureFiles, ExposureNames, OptionGroup, SceneOfFiles
 from jaxgeo.cli._screen import print_note
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Shot
@@ -61,26 +61,9 @@ class ExposureOptions(OptionGroup):
     panel: ClassVar[str | None] = "Options"
     shots: ClassVar[pathlib.Path | None] = None
 
-    files: Annotated[
-        list[pathlib.Path] | None,
-        typer.Argument(
-            metavar="FILE",
-            help="Drone images or folders, KLV, SBET, table, reconstruction; or a scene.",
-            show_default=False,
-        ),
-    ] = None
-    scene: Annotated[
-        pathlib.Path | None,
-        typer.Option(
-            "--scene",
-            metavar="FILE",
-            help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
-        ),
-    ] = None
-    names: Annotated[
-        list[str] | None,
-        typer.Option("--exposure", metavar="NAME", help="Exposure name (repeatable; default: all)."),
-    ] = None
+    files: ExposureFiles = None
+    scene: SceneOfFiles = None
+    names: ExposureNames = None
 
     @property
     def is_scene(self) -> bool:

@@ -13,20 +13,11 @@ from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import check_goes_with_dem, terrain_files
-from jaxgeo.cli._options import SEEN, DemOptions, OptionGroup
+from jaxgeo.cli._options import SEEN, DemOptions, ExposureFiles, ExposureNames, OptionGroup, SceneOfFiles
 
 Refraction = Annotated[
     bool,
     typer.Option("--refraction", help="Apply refraction (US Standard Atmosphere 1976).", rich_help_panel=SEEN),
-]
-
-Scene = Annotated[
-    pathlib.Path | None,
-    typer.Option(
-        "--scene",
-        metavar="FILE",
-        help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
-    ),
 ]
 
 
@@ -36,15 +27,8 @@ class ObservationOptions(OptionGroup):
 
     panel: ClassVar[str | None] = SEEN
 
-    files: Annotated[
-        list[pathlib.Path] | None,
-        typer.Argument(
-            metavar="FILE",
-            help="Drone images or folders, KLV, SBET, table, reconstruction; or a scene.",
-            show_default=False,
-        ),
-    ] = None
-    scene: Scene = None
+    files: ExposureFiles = None
+    scene: SceneOfFiles = None
     shots: Annotated[
         pathlib.Path | None,
         typer.Option("--shots", metavar="FILE", help="With --scene: CSV with a shot and a pixel per row."),
@@ -79,10 +63,7 @@ class ObservationOptions(OptionGroup):
             "object stands.",
         ),
     ] = None
-    exposures: Annotated[
-        list[str] | None,
-        typer.Option("--exposure", metavar="NAME", help="Exposure name (repeatable; default: all)."),
-    ] = None
+    exposures: ExposureNames = None
     shard: Annotated[
         str | None,
         typer.Option("--shard", metavar="I/N", help="Part I of N of the files, or of the rows of one: for N jobs."),

@@ -92,6 +92,26 @@ SceneFile = Annotated[
     pathlib.Path,
     typer.Option("--scene", metavar="FILE", help="Scene file (TOML): camera, gimbal, mount and pose."),
 ]
+SceneOfFiles = Annotated[
+    pathlib.Path | None,
+    typer.Option(
+        "--scene",
+        metavar="FILE",
+        help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
+    ),
+]
+ExposureFiles = Annotated[
+    list[pathlib.Path] | None,
+    typer.Argument(
+        metavar="FILE",
+        help="Drone images or folders, KLV, SBET, table, reconstruction; or a scene.",
+        show_default=False,
+    ),
+]
+ExposureNames = Annotated[
+    list[str] | None,
+    typer.Option("--exposure", metavar="NAME", help="Exposure name (repeatable; default: all)."),
+]
 DemFiles = Annotated[
     list[str],
     typer.Option(

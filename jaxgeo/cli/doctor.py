@@ -95,7 +95,7 @@ def _versions() -> Iterator[Finding]:
 
 
 def _libraries() -> Iterator[Finding]:
-    from jaxgeo.io.library_facts import versions
+    from jaxgeo.io.gdal_and_proj import versions
 
     yield from (Finding(name, State.ok, version) for name, version in versions().items())
 
@@ -145,7 +145,7 @@ def _geoids() -> Iterator[Finding]:
 
 
 def _drivers() -> Iterator[Finding]:
-    from jaxgeo.io.library_facts import drivers
+    from jaxgeo.io.gdal_and_proj import drivers
 
     for known, wanted in zip(drivers(), (DRIVERS, VECTORS), strict=True):
         yield from (_driver(name, use, name in known) for name, use in wanted.items())

@@ -18,8 +18,8 @@ from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas, checked_sigma
 from jaxgeo.cli._inputs import as_datum, numbers_in
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
-from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction, Scene
-from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup
+from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
+from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, SceneOfFiles
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_note, working
 
@@ -67,7 +67,7 @@ class PointOptions(OptionGroup):
             "--pixel-origin", metavar="ORIGIN", help="Pixel (0, 0) of --points: the centre or corner of the first."
         ),
     ] = "centre"
-    scene: Scene = None
+    scene: SceneOfFiles = None
     survey: Annotated[
         str | None,
         typer.Option(

@@ -93,7 +93,8 @@ def observations_of_detections(
         pixels.append(pixel)
     if not any(lanes):
         names = ", ".join([str(row.get("name")) for row in observed.columns][:3])
-        raise TableError(f"{detections[0].image}: no detection is in an image that was read, such as {names}.")
+        wanted = ", ".join(dict.fromkeys(one.image for one in detections[:3]))
+        raise TableError(f"no detection is in an image that was read: they name {wanted}; the images are {names}.")
     batches = tuple(
         _batch(batch, np.array(lane), np.stack([pixels[row] for row, _ in lane]))
         for batch, lane in zip(observed.batches, lanes, strict=True)

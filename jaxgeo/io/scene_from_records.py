@@ -22,6 +22,7 @@ from jaxgeo.io._schema import READINGS
 from jaxgeo.io.errors import one_line
 from jaxgeo.io.errors_writer import errors_table
 from jaxgeo.io.scene import KINDS, SceneError, read_scene
+from jaxgeo.io.scene_writer import SAME, same
 from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor, Shot
 from jaxgeo.sensor.distortion import NoDistortion
@@ -29,7 +30,6 @@ from jaxgeo.uncertainty.sources import AbstractSource, Attitude, Boresight, Gimb
 
 LOOKS = {"down": Mount.nadir, "forward": Mount.forward}
 OF_AXES = (Attitude, Boresight, GimbalAngles, GimbalMounting, LeverArm)  # errors about axes of aircraft and gimbal
-SAME = 1e-12
 OFF_AT_MOST = (1e-6, 1e-9)  # m and rad: between the lines of sight of the records and of the file
 
 Table = dict[str, Any]
@@ -130,15 +130,15 @@ def _camera(camera: Any) -> Table:
 def _as_it_is(sensor: Sensor, shot: Shot) -> Table | None:
     """Gimbal, mount and pose as in the records; None if a scene file has no keys for them."""
     mount, pose = sensor.mount, shot.pose
-    kind = next((name for name, make in KINDS.items() if _same(_unlimited(make()), _unlimited(sensor.gimbal))), None)
+    kind = next((name for name, make in KINDS.items() if same(_unlimited(make()), _unlimited(sensor.gimbal))), None)
     turns = {looks: make().R_head_from_camera for looks, make in LOOKS.items()}
-    looks = next((name for name, R in turns.items() if _same(R, mount.R_head_from_camera)), None)
+    looks = next((name for name, R in turns.items() if same(R, mount.R_head_from_camera)), None)
     angles, readings = _degrees(pose.heading, pose.pitch, pose.roll), _degrees(*shot.gimbal_readings)
     most = np.array([360.0, 90.0, 180.0, *(360.0 for _ in readings)])
     if kind is None or looks is None or pose.deflection is not None or np.any(np.abs([*angles, *readings]) > most):
         return None
     table: Table = {"gimbal": {"kind": kind, **_named([f"{name}_deg" for name in READINGS[kind]], readings)}}
-    if not _same(KINDS[kind](), sensor.gimbal):
+    if not same(KINDS[kind](), sensor.gimbal):
         table["gimbal"]["limits_deg"] = np.rad2deg(np.asarray(sensor.gimbal.limits, np.float64)).tolist()
     table["mount"] = {"camera_looks": looks}
     base = _degrees(*heading_pitch_roll_from_R(mount.R_body_from_base))
@@ -180,7 +180,7 @@ def _pose(position: Any, angles: list[float], shot: Shot) -> Table:
 def _air(air: Atmosphere | None) -> Table:
     if air is None:
         return {}
-    if not _same(air, Atmosphere(sea_level=air.sea_level)):
+    if not same(air, Atmosphere(sea_level=air.sea_level)):
         raise SceneError("a scene file has the standard atmosphere, or what was measured; this one is computed.")
     return {"air": {"sea_level_m": float(np.asarray(air.sea_level))}}
 
@@ -211,11 +211,3 @@ def _check_same(path: pathlib.Path, text: str, sensor: Sensor, shot: Shot) -> No
 
 def _degrees(*angles: Any) -> list[float]:
     return [float(np.rad2deg(float(np.asarray(angle)))) for angle in angles]
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Whether two records, or arrays, have the same type and values."""
-    if jax.tree.structure(one) != jax.tree.structure(other):
-        return False
-    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
-    return all(np.shape(a) == np.shape(b) and np.allclose(a, b, rtol=SAME, atol=SAME) for a, b in pairs)

@@ -140,11 +140,11 @@ def _sensor_changes(
     source: pathlib.Path, table: SceneTable, before: Sensor, after: Sensor
 ) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Differences, by key. Raises `SceneError` for those without a key."""
-    if not _same(before.gimbal, after.gimbal):
+    if not same(before.gimbal, after.gimbal):
         raise _no_key(
             source, "the gimbal's axes, signs, gains, offsets and limits", "[gimbal] has its kind and readings"
         )
-    if not _same(before.mount.R_head_from_camera, after.mount.R_head_from_camera):
+    if not same(before.mount.R_head_from_camera, after.mount.R_head_from_camera):
         raise _no_key(source, "R_head_from_camera", "[mount] camera_looks is down or forward")
     yield from _mount_changes(before, after)
     if not (isinstance(before.camera, FrameCamera) and isinstance(after.camera, FrameCamera)):
@@ -154,12 +154,12 @@ def _sensor_changes(
 
 
 def _mount_changes(before: Sensor, after: Sensor) -> Iterator[tuple[tuple[str, ...], Any]]:
-    if not _same(before.mount.R_body_from_base, after.mount.R_body_from_base):
+    if not same(before.mount.R_body_from_base, after.mount.R_body_from_base):
         angles = heading_pitch_roll_from_R(jnp.asarray(after.mount.R_body_from_base))
         for name, angle in zip(("heading", "pitch", "roll"), angles, strict=True):
             yield ("mount", f"base_{name}_deg"), round(float(np.rad2deg(np.asarray(angle))), DECIMALS_OF_ANGLES)
     for name in ("lever_body", "lever_head"):
-        if not _same(getattr(before.mount, name), getattr(after.mount, name)):
+        if not same(getattr(before.mount, name), getattr(after.mount, name)):
             yield ("mount", f"{name}_m"), _lengths(getattr(after.mount, name))
 
 
@@ -171,7 +171,7 @@ def _camera_changes(
         raise _no_key(source, "another width or height", "an update leaves the image's size as it is")
     camera = table.camera
     pitch_px = 1.0 if camera.pixel_pitch_um is None else camera.pixel_pitch_um * 1e-3  # mm, or pixels, in a pixel
-    if not _same(before.focal_px, after.focal_px):
+    if not same(before.focal_px, after.focal_px):
         across, down = np.asarray(after.focal_px, np.float64)
         if abs(across - down) <= SAME * across:
             key = "focal_px" if camera.focal_px is not None else "focal_length_mm"
@@ -184,7 +184,7 @@ def _camera_changes(
                 "a focal length that differs along columns and rows",
                 "[camera] focal_length_mm is one number; say focal_px = [along columns, along rows]",
             )
-    if not _same(before.principal_px, after.principal_px):
+    if not same(before.principal_px, after.principal_px):
         place = np.asarray(after.principal_px, np.float64)
         if camera.focal_px is not None:
             yield ("camera", "principal_px"), _lengths(place)
@@ -195,7 +195,7 @@ def _camera_changes(
 def _distortion_changes(
     source: pathlib.Path, before: FrameCamera, after: FrameCamera
 ) -> Iterator[tuple[tuple[str, ...], Any]]:
-    if _same(before.distortion, after.distortion):
+    if same(before.distortion, after.distortion):
         return
     if not isinstance(after.distortion, BrownConrady) or not isinstance(before.distortion, BrownConrady | NoDistortion):
         raise _no_key(source, f"a {type(after.distortion).__name__}", "[camera.distortion] is of Brown and Conrady")
@@ -207,7 +207,7 @@ def _lengths(values: Any) -> list[float]:
     return [round(float(value), DECIMALS_OF_LENGTHS) for value in np.asarray(values)]
 
 
-def _same(before: Any, after: Any) -> bool:
+def same(before: Any, after: Any) -> bool:
     """Whether two records, or arrays, have the same type and values."""
     if jax.tree.structure(before) != jax.tree.structure(after):
         return False

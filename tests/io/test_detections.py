@@ -284,7 +284,7 @@ def test_images_of_one_name_are_told_apart_by_their_folders(observed, tmp_path: 
 
 
 def test_without_any_known_image_nothing_is_invented(observed) -> None:
-    with pytest.raises(TableError, match=r"x\.jpg: no detection is in an image that was read"):
+    with pytest.raises(TableError, match=r"that was read: they name x\.jpg; the images are a\.jpg"):
         observations_of_detections(observed.rows, [Detection("x.jpg", "point", BOX[:1], {})])
     with pytest.raises(ValueError, match="anchor must be"):
         observations_of_detections(observed.rows, [Detection("a.jpg", "point", BOX[:1], {})], anchor="top")

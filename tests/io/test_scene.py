@@ -138,6 +138,17 @@ def test_a_position_may_be_on_a_map(scene_file, tmp_path: pathlib.Path) -> None:
         np.testing.assert_allclose(float(one), float(other), rtol=1e-13)
 
 
+def test_a_map_in_feet_has_metres_too(scene_file, tmp_path: pathlib.Path) -> None:
+    """Tennessee's map in the EPSG registry: 600 000 m at its central meridian, 86 W."""
+    ((old, new),) = ON_MAP
+    path = scene_file(GOOD, (old, new.format(x=600_000.0, y=200_000.0).replace("EPSG:32631", "EPSG:2274")))
+    _, shot = load_scene(path)
+    np.testing.assert_allclose(np.rad2deg(float(shot.pose.position.lon)), -86.0, atol=1e-9)
+    write_updated_scene(tmp_path / "new.toml", path, shot)
+    written = next(line for line in (tmp_path / "new.toml").read_text().splitlines() if line.startswith("easting_m"))
+    assert float(written.partition("=")[2]) == pytest.approx(600_000.0, abs=1e-6)
+
+
 def test_omega_phi_kappa_of_a_level_camera_is_the_grid_north(scene_file) -> None:
     attitude = "heading_deg = 90\npitch_deg = 2.0\nroll_deg = -3.0"
     grid = 'omega_deg = 0.0\nphi_deg = 0.0\nkappa_deg = 0.0\nmap_crs = "EPSG:32631"'

@@ -128,6 +128,14 @@ def test_what_a_scene_cannot_hold_is_refused(tmp_path: pathlib.Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_scene_that_is_refused_leaves_the_file_as_it_was(tmp_path: pathlib.Path) -> None:
+    (tmp_path / "a.toml").write_text("precious")
+    sensor, shot = of("fixed", Pose.from_degrees(lat=46.0, lon=-8.0, height=5e7))
+    with pytest.raises(SceneError, match="not written"):
+        write_scene(tmp_path / "a.toml", sensor, shot)
+    assert (tmp_path / "a.toml").read_text() == "precious"
+
+
 def test_limits_are_one_pair_for_each_reading_and_in_order(tmp_path: pathlib.Path) -> None:
     write_scene(tmp_path / "a.toml", *of("level"))
     text = (tmp_path / "a.toml").read_text()

@@ -528,3 +528,18 @@ def test_a_failure_keeps_the_file_that_was_there(tmp_path: pathlib.Path, monkeyp
         write_fixes(path, made())
     assert path.read_text() == "old"
     assert [other.name for other in tmp_path.iterdir()] == ["fixes.gpkg"]
+
+
+def test_an_outline_over_the_date_line_is_cut_there(tmp_path: pathlib.Path) -> None:
+    """Clockwise as seen in an image; the file has it anticlockwise, in two parts that meet at 180 degrees."""
+    from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot, locate
+
+    sensor = Sensor(FrameCamera.from_pixels(focal_px=100.0, width=9, height=9), Gimbal.fixed(), Mount.nadir())
+    fix = locate(sensor, Shot(Pose.from_degrees(lat=0.0, lon=180.0, height=100.0)), (4.0, 4.0), ConstantHeight(0.0))
+    ring = np.array([[179.9, 0.1, 0.0], [-179.8, 0.1, 0.0], [-179.8, -0.1, 0.0], [179.9, -0.1, 0.0]])
+    write_fixes(tmp_path / "a.geojson", fix, rings=[ring])
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    (shape,) = (shapely.geometry.shape(one["geometry"]) for one in features if one["properties"]["kind"] == "detection")
+    assert shape.is_valid
+    assert sorted(round(part.area, 9) for part in shape.geoms) == [0.02, 0.04]
+    assert all(part.exterior.is_ccw for part in shape.geoms)
