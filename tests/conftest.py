@@ -8,6 +8,7 @@ import gc
 import os
 import pathlib
 import platform
+import re
 import subprocess
 import sys
 import zlib
@@ -55,6 +56,7 @@ if platform.machine() in ("x86_64", "AMD64"):
 # From the first on programs are dropped after a file of tests; from the second on after any test, if there are many.
 MUCH_RESIDENT, MORE_RESIDENT, MOST_RESIDENT = 1_550_000_000, 1_700_000_000, 1_850_000_000
 MANY_PROGRAMS = 500_000_000  # bytes
+MARK_OF_FILE = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.(?P<mark>costly|slow)\b", re.MULTILINE)
 BUDGET = 1.5  # s of processor time of one core test, with what it compiles
 BEGUN, SPENT = pytest.StashKey[float](), "processor seconds"
 
@@ -88,15 +90,27 @@ def pytest_configure(config: pytest.Config) -> None:
         del os.environ["XLA_FLAGS"]
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def left_out(config: pytest.Config) -> list[str]:
+    """Marks of the tests that are not asked for."""
     if config.getoption("--slow"):
-        return
-    left_out = ["slow"] if config.getoption("--costly") else ["slow", "costly"]
-    for item in items:
-        for mark in left_out:
-            if mark in item.keywords:
-                item.add_marker(pytest.mark.skip(reason=f"{mark}: runs with --{mark}"))
-                break
+        return []
+    return ["slow"] if config.getoption("--costly") else ["slow", "costly"]
+
+
+def pytest_ignore_collect(collection_path: pathlib.Path, config: pytest.Config) -> bool | None:
+    """A file all of whose tests are left out is not even imported: that takes seconds in all."""
+    if collection_path.suffix != ".py" or not collection_path.name.startswith("test_"):
+        return None
+    of_file = MARK_OF_FILE.search(collection_path.read_text(encoding="utf-8"))
+    return True if of_file and of_file["mark"] in left_out(config) else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    marks = left_out(config)
+    apart = [item for item in items if any(mark in item.keywords for mark in marks)]
+    if apart:  # each test that is skipped has three reports: seconds in all
+        config.hook.pytest_deselected(items=apart)
+        items[:] = [item for item in items if not any(mark in item.keywords for mark in marks)]
 
 
 def pytest_collection_finish() -> None:
@@ -122,8 +136,9 @@ def _processor_seconds() -> float:
     return sum(os.times()[:4])
 
 
-def pytest_report_header() -> str:
-    return f"mutants of files: {VARIABLE}={os.environ[VARIABLE]}"
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    without = [f"without tests marked {mark}: they run with --{mark}" for mark in left_out(config)]
+    return [*without, f"mutants of files: {VARIABLE}={os.environ[VARIABLE]}"]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -117,7 +117,7 @@ def test_a_folder_has_a_footprint_for_each_image_and_tells_what_it_cannot_read(h
     assert "b.jpg" in shown.stdout
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_overlaps_of_a_folder_are_of_consecutive_images_also_of_two_cameras(here: pathlib.Path) -> None:
     pairs = done("overlap", "strip", *ELLIPSOID, *GROUND)["pairs"]
     assert [(one["before"], one["after"]) for one in pairs] == [("a.jpg", "b.jpg"), ("b.jpg", "c.jpg")]

@@ -85,7 +85,7 @@ def test_flags_that_all_have(name: str) -> None:
 QUIET = [
     pytest.param("locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 --no-accuracy", marks=pytest.mark.costly),
     "scene DJI_0042.JPG --camera-datum ellipsoid -o out.toml",
-    "point --scene scene.toml --line-of-sight 250,18.5",
+    pytest.param("point --scene scene.toml --line-of-sight 250,18.5", marks=pytest.mark.costly),
 ]
 
 

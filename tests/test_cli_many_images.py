@@ -16,6 +16,8 @@ from support import interrupted
 from support.drone_image_files import packet, write_image
 from test_cli_folders import DJI, GROUND
 
+pytestmark = pytest.mark.slow
+
 COUNT = 200
 
 
@@ -33,7 +35,6 @@ def started(flight: pathlib.Path, output: pathlib.Path) -> subprocess.Popen:
     return interrupted.started(line, stdout=subprocess.PIPE)
 
 
-@pytest.mark.slow
 def test_each_of_many_images_has_its_row(flight: pathlib.Path, tmp_path: pathlib.Path) -> None:
     output = tmp_path / "fixes.csv"
     process = started(flight, output)
@@ -47,7 +48,6 @@ def test_each_of_many_images_has_its_row(flight: pathlib.Path, tmp_path: pathlib
     assert told.count("assumed:") < 20, "told once, and not for each image"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGKILL"])
 @pytest.mark.parametrize("after", ["assumed:", None], ids=["while it computes", "while it starts"])
 def test_a_stopped_command_leaves_the_output_as_it_was(

@@ -32,7 +32,6 @@ def fixes(made):
     return jax.tree.map(lambda leaf: leaf.reshape(*uv.shape[:2], *leaf.shape[1:]), found)
 
 
-@pytest.mark.costly
 def test_the_camera_is_read_back(made):
     found = io.read_acquisition(made.path, height_datum=DATUM)
     assert found.form == "DJI drone image"
@@ -43,7 +42,6 @@ def test_the_camera_is_read_back(made):
     assert (sensor.camera.width, sensor.camera.height) == (COLUMNS, ROWS)
 
 
-@pytest.mark.costly
 def test_tags_are_those_of_the_shot_with_its_errors(made):
     read = io.read_acquisition(made.path, height_datum=DATUM).exposure(0)[1]
     written = tagged(made.sensor, made.shot, seed=0)
@@ -53,7 +51,6 @@ def test_tags_are_those_of_the_shot_with_its_errors(made):
     np.testing.assert_allclose(np.rad2deg(read.pose.heading) % 360.0, np.rad2deg(written.pose.heading), atol=0.0051)
 
 
-@pytest.mark.costly
 def test_tags_err_by_draws_of_the_usual_errors(made):
     off = []
     for seed in range(12):
@@ -65,7 +62,6 @@ def test_tags_err_by_draws_of_the_usual_errors(made):
     assert np.all((size > 0.5) & (size < 1.6)), size
 
 
-@pytest.mark.costly
 def test_the_datum_has_to_be_stated(made):
     with pytest.raises(io.UnstatedDatum, match="height_datum"):
         io.read_acquisition(made.path)
@@ -78,7 +74,6 @@ def test_the_sky_is_where_no_ground_is(made, fixes):
     assert np.mean(sky == ~fixes.ok) > 0.97  # but for the haze of the farthest ridges
 
 
-@pytest.mark.costly
 def test_slopes_towards_the_sun_are_bright(made, fixes):
     """The light on the ground by the height of the terrain a few metres further, against the pixels near the camera."""
     dem = io.example_dem()

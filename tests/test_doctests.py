@@ -24,6 +24,7 @@ SLOW = {  # of what they compile
     "uncertainty/_simulate_looks.py",
     "uncertainty/_track.py",
 }
+COSTLY = {"uncertainty/_error_samples.py"}
 # What no reader should look for in vain: the doors through which most come.
 DOORS = {
     "__init__.py": "",
@@ -84,9 +85,12 @@ MODULES = sorted(
 )
 
 
-@pytest.mark.parametrize(
-    "path", [pytest.param(path, marks=pytest.mark.slow) if path in SLOW else path for path in MODULES]
-)
+def marked(path: str):
+    marks = pytest.mark.slow if path in SLOW else pytest.mark.costly if path in COSTLY else ()
+    return pytest.param(path, marks=marks)
+
+
+@pytest.mark.parametrize("path", [marked(path) for path in MODULES])
 def test_examples_print_what_they_say(path):
     for test in examples_of(path):
         told: list[str] = []

@@ -145,6 +145,7 @@ def test_violations_are_found(path: str, line: str, rule: str) -> None:
     assert any(rule in sentence for sentence in broken_rules(line, path))
 
 
+@pytest.mark.costly
 def test_no_numpy_on_traced_values() -> None:
     uses = numpy_in_jitted_code({f"jaxgeo/{path}": (folder() / path).read_text() for path in SOURCES})
     assert [str(use) for use in uses if (use.path, use.function) not in STATIC_NUMPY] == []

@@ -34,6 +34,8 @@ from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.sensor.conventions import R_HEAD_FROM_CAMERA_LI_2023, li_2023_sweep_sensor
 from jaxgeo.terrain import TangentGrid
 
+pytestmark = pytest.mark.costly
+
 CENTRE = Geodetic.from_degrees(lat=29.2, lon=88.9, height=0.0)
 SIZE = 129
 START = 418_000.0  # s of a GPS week: a time of many digits
@@ -132,7 +134,6 @@ def some_pixels(camera, count: int = 64) -> np.ndarray:
     return rng.uniform([-0.49, -0.49], [camera.width - 0.51, camera.height - 0.51], (count, 2))
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize(
     "name", [name if name == "sweep" else pytest.param(name, marks=pytest.mark.slow) for name in SCENES]
 )
@@ -299,7 +300,6 @@ def test_a_sweep_is_a_line_whose_frame_turns():
     np.testing.assert_allclose(back.uv, uv, rtol=0, atol=1e-6)
 
 
-@pytest.mark.costly
 def test_lines_of_a_steady_pushbroom_lie_as_far_apart_as_the_platform_flies():
     shot = Shot(Pose.from_degrees(lat=50.0, lon=8.0, height=1000.0))
     flight = Trajectory.steady(shot, velocity_ned=[60.0, 0.0, 0.0], after=3.0)
@@ -458,7 +458,6 @@ def test_the_sweep_as_one_frame_is_far_off():
     assert np.max(off) > 500.0
 
 
-@pytest.mark.costly
 def test_what_cannot_be_asked_is_refused():
     sensor, flight, _ = SCENES["rolling shutter"]
     level = ConstantHeight(0.0)

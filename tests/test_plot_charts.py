@@ -134,6 +134,7 @@ def test_an_ellipse_of_samples_holds_its_share(ax) -> None:
     assert inside.mean() == pytest.approx(0.9, abs=0.02)
 
 
+@pytest.mark.costly
 def test_samples_about_their_mean_lie_where_they_were(ax) -> None:
     """Where errors are counted from the mean, cloud, ellipse and circle have it as their middle."""
     one = compared()

@@ -86,6 +86,7 @@ LOADER = """
 """
 
 
+@pytest.mark.costly
 def test_every_record_is_refused_in_32_bits_and_whole_in_64(tmp_path: pathlib.Path, project_root: pathlib.Path) -> None:
     records = {f"{cls.__module__}.{cls.__qualname__}": with_awkward_numbers(cls) for cls in every_record()}
     assert len(records) > 180
@@ -266,6 +267,7 @@ def test_joblib_runs_in_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
 FOR_JOBLIB = "joblib.Parallel(n_jobs=2, initializer=jaxgeo.enable_x64)"
 
 
+@pytest.mark.costly
 def test_joblib_runs_as_its_page_says(nobody_says: None, project_root: pathlib.Path) -> None:
     assert FOR_JOBLIB in (project_root / "docs" / "howto" / "batches.md").read_text(encoding="utf-8")
     parallel = eval(FOR_JOBLIB, {"joblib": joblib, "jaxgeo": jaxgeo})

@@ -19,6 +19,8 @@ from jaxgeo.io.scene import read_scene
 from jaxgeo.report import ReportData, ReportHeader, write_report
 from jaxgeo.report import words as say
 
+pytestmark = pytest.mark.slow
+
 playwright = pytest.importorskip("playwright.sync_api", reason="the package playwright is not installed")
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -125,7 +127,6 @@ def metres_of(shown: list[float]) -> float:
     return (north - south) / ((east - west) * np.cos(np.deg2rad(0.5 * (south + north))))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_what_is_seen(browser, page_file: pathlib.Path, subject: ReportData, size: tuple[int, int]) -> None:
     lat, lon, height = (float(np.asarray(x)[0]) for x in subject.fixes.position.to_degrees())
@@ -170,7 +171,6 @@ def size_ratio(page) -> float:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_the_map_answers_a_pointer(
     browser, page_file: pathlib.Path, subject: ReportData, size: tuple[int, int]
@@ -202,7 +202,6 @@ def test_the_map_answers_a_pointer(
         assert ranges(page) == pytest.approx(before, abs=room)
 
 
-@pytest.mark.slow
 def test_layers_bars_and_headers_do_what_they_say(browser, page_file: pathlib.Path) -> None:
     with opened(browser, page_file, SIZES["desk"]) as page:
         with_relief = picture(page, "#chart-map").astype(float)
@@ -231,7 +230,6 @@ def test_layers_bars_and_headers_do_what_they_say(browser, page_file: pathlib.Pa
         assert head.get_attribute("aria-sort") == "descending"
 
 
-@pytest.mark.slow
 def test_a_window_that_changes_keeps_metres_alike(browser, page_file: pathlib.Path) -> None:
     with opened(browser, page_file, SIZES["desk"]) as page:
         page.set_viewport_size({"width": 700, "height": 900})
@@ -240,7 +238,6 @@ def test_a_window_that_changes_keeps_metres_alike(browser, page_file: pathlib.Pa
         assert page.evaluate("document.documentElement.scrollWidth") <= 700
 
 
-@pytest.mark.slow
 def test_charts_are_whole_on_paper(browser, page_file: pathlib.Path) -> None:
     boxes = """() => [...document.querySelectorAll(".chart")].flatMap(chart => {
       const outer = chart.getBoundingClientRect(), inner = chart.firstElementChild.getBoundingClientRect();

@@ -12,6 +12,8 @@ from scipy import stats
 from jaxgeo.adjust import adjust, without_blunders
 from tests.support import blunder_study as study
 
+pytestmark = pytest.mark.costly
+
 SMALL = study.LAYOUTS[:1]
 
 
@@ -42,7 +44,6 @@ def test_in_good_blocks_nothing_is_named_but_by_chance() -> None:
     assert names <= stats.binom.ppf(0.999, 12, 0.05)
 
 
-@pytest.mark.costly
 def test_of_two_rays_an_error_along_the_epipolar_line_cannot_be_told_and_one_across_can_be_told_of_both() -> None:
     case = study.clean(SMALL[0], 1)
     of, seen = study.truth(SMALL[0]), case.block.observations

@@ -13,6 +13,8 @@ from support import blocks
 
 from jaxgeo.adjust import Adjustment, Fixed, Images, InnerConstraints, Solver, Unknowns, adjust, blunders
 
+pytestmark = pytest.mark.slow
+
 SIGMA_POSITION, SIGMA_ATTITUDE = 1.0, np.deg2rad(0.05)  # m, rad: of the navigation that is made up
 
 
@@ -114,7 +116,6 @@ def strasbourg(jaxgeo_test_data: pathlib.Path) -> tuple[blocks.RealBlock, Adjust
     return real, found, gauss_newton(real, names, real.block.images, places)
 
 
-@pytest.mark.slow
 def test_strasbourg_is_what_a_dense_adjustment_finds(
     strasbourg: tuple[blocks.RealBlock, Adjustment, Oracle],
 ) -> None:
@@ -131,7 +132,6 @@ def test_strasbourg_is_what_a_dense_adjustment_finds(
     np.testing.assert_allclose(found.points.place, oracle.points, rtol=0.0, atol=1e-5)  # m
 
 
-@pytest.mark.slow
 def test_strasbourgs_standard_deviations_are_those_of_a_dense_inverse(
     strasbourg: tuple[blocks.RealBlock, Adjustment, Oracle],
 ) -> None:
@@ -143,7 +143,6 @@ def test_strasbourgs_standard_deviations_are_those_of_a_dense_inverse(
     np.testing.assert_allclose(found.points.sigma, of_points, rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_strasbourgs_check_points_lie_where_they_were_measured(
     strasbourg: tuple[blocks.RealBlock, Adjustment, Oracle],
 ) -> None:
@@ -155,7 +154,6 @@ def test_strasbourgs_check_points_lie_where_they_were_measured(
     assert np.all(np.abs(off[:, 2]) < 0.5)  # m
 
 
-@pytest.mark.slow
 def test_a_problem_of_bal_comes_down_to_its_known_cost(jaxgeo_test_data: pathlib.Path) -> None:
     real = blocks.large(jaxgeo_test_data)
     found = adjust(real.block, real.unknowns, datum=InnerConstraints(), solver=Solver(relative=1e-9), screen=None)
@@ -187,7 +185,6 @@ def off_given(found: Adjustment, given: Images) -> np.ndarray:
     return np.concatenate([found.images.centre - given.centre, Rotation.from_matrix(turn).as_rotvec()], axis=1)
 
 
-@pytest.mark.slow
 def test_the_ties_of_a_flight_fit_to_a_fifth_of_a_pixel(
     flown: blocks.Aerial, adjusted: tuple[Adjustment, Adjustment]
 ) -> None:
@@ -203,7 +200,6 @@ def test_the_ties_of_a_flight_fit_to_a_fifth_of_a_pixel(
     assert 0 < len(blunders(found)) < 0.02 * len(flown.seen)
 
 
-@pytest.mark.slow
 def test_disturbed_orientations_return_to_those_given(
     flown: blocks.Aerial, adjusted: tuple[Adjustment, Adjustment]
 ) -> None:
@@ -233,7 +229,6 @@ def test_disturbed_orientations_return_to_those_given(
     assert change @ np.linalg.solve(found.covariance, change) == pytest.approx(expected, abs=4.0 * width)
 
 
-@pytest.mark.slow
 def test_over_many_disturbances_orientations_lie_within_their_standard_deviations(flown: blocks.Aerial) -> None:
     off = []
     for seed in range(12):
@@ -252,7 +247,6 @@ def off_given_images(found: Adjustment, flown: blocks.Aerial) -> np.ndarray:
     return np.concatenate([start.centre - flown.given.centre, Rotation.from_matrix(turn).as_rotvec()], axis=1)
 
 
-@pytest.mark.slow
 def test_given_orientations_intersect_in_the_given_points(flown: blocks.Aerial) -> None:
     block = flown.held(SIGMA_POSITION, SIGMA_ATTITUDE)
     found = adjust(block, Unknowns(images=Fixed()))
@@ -261,7 +255,6 @@ def test_given_orientations_intersect_in_the_given_points(flown: blocks.Aerial) 
     assert np.sqrt(np.mean(found.residuals**2)) < 0.17  # px
 
 
-@pytest.mark.slow
 def test_what_the_map_does_to_a_flight_shows(flown: blocks.Aerial, jaxgeo_test_data: pathlib.Path) -> None:
     left_in = blocks.aerial(jaxgeo_test_data, ground_altitude=None)
     assert np.sqrt(np.mean(left_in.off() ** 2)) == pytest.approx(1.9, abs=0.3)  # px: the linear alteration
@@ -269,7 +262,6 @@ def test_what_the_map_does_to_a_flight_shows(flown: blocks.Aerial, jaxgeo_test_d
     assert np.sqrt(np.mean(turned.off() ** 2)) > 100.0  # px: a degree of convergence
 
 
-@pytest.mark.slow
 def test_a_flight_is_two_free_networks(flown: blocks.Aerial) -> None:
     """Its ties lie in two places, 18 km apart, and hold nothing between them."""
     parts = flown.parts()

@@ -160,6 +160,7 @@ def test_least_errors_that_are_found_grow_where_less_is_checked(good: Adjustment
     assert np.all(np.isnan(found.standardised) == (found.redundancy <= 1e-6))
 
 
+@pytest.mark.costly
 def test_along_the_epipolar_line_nothing_checks_a_point_of_two_rays(good: Adjustment) -> None:
     seen = good.block.observations
     names, counts = np.unique(seen.point, return_counts=True)
@@ -177,6 +178,7 @@ def with_control_off(block: Block, row: int, error: Any) -> Block:
     return replace(block, control=GroundPoints(block.control.name, place, block.control.sigma))
 
 
+@pytest.mark.costly
 def test_control_that_is_far_off_is_set_aside_and_the_rest_adjusted(good: Adjustment) -> None:
     with pytest.warns(RuntimeWarning, match=f"set aside before the first iteration: control point {CONTROL[2]}"):
         found = adjust(with_control_off(good.block, 2, [2000.0, 0.0, 0.0]))
@@ -190,6 +192,7 @@ def test_control_that_is_far_off_is_set_aside_and_the_rest_adjusted(good: Adjust
     np.testing.assert_allclose(found.residuals, expected.residuals, atol=1e-5)  # px
 
 
+@pytest.mark.costly
 def test_image_points_that_are_far_off_are_set_aside_with_the_points_that_nothing_else_sees(good: Adjustment) -> None:
     seen = good.block.observations
     names, counts = np.unique(seen.point, return_counts=True)
@@ -204,6 +207,7 @@ def test_image_points_that_are_far_off_are_set_aside_with_the_points_that_nothin
     assert found.sigma0 == pytest.approx(expected.sigma0, abs=1e-6)
 
 
+@pytest.mark.costly
 def test_an_error_of_control_is_named_as_that_and_not_as_that_of_its_rays(good: Adjustment) -> None:
     off = np.array([0.4, -0.3, 0.2])
     found = blunders(adjust(with_control_off(good.block, 3, off)))
@@ -213,6 +217,7 @@ def test_an_error_of_control_is_named_as_that_and_not_as_that_of_its_rays(good: 
     assert str(found[0]).endswith(" m")
 
 
+@pytest.mark.costly
 def test_control_is_tested_by_its_own_redundancy(good: Adjustment) -> None:
     rng, fails = np.random.default_rng(0), 0
     for seed in range(4):

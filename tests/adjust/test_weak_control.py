@@ -32,6 +32,8 @@ from tests.support.dense_block import dense
 from tests.support.rigorous import Rigorous, by_triangles
 from tests.support.simulated_block import CONTROL, LENS, disturbed, simulated
 
+pytestmark = pytest.mark.costly
+
 CONTROL_SIGMAS = (1e-3, 0.1, 3.0, 100.0, 1000.0)  # m
 PIXEL_SIGMAS = (0.01, 0.5, 10.0)  # px
 ALL = list(itertools.product(CONTROL_SIGMAS, PIXEL_SIGMAS))
@@ -74,7 +76,6 @@ def assert_rigorous(found: Adjustment, right: Rigorous, within: float) -> None:
     assert right.left < 1e-3  # standard deviations: the iterations came to where the cost is least
 
 
-@pytest.mark.costly
 def test_the_weakest_control_under_the_best_pixels() -> None:
     found = adjust(on_control(1000.0, 0.01))
     assert_rigorous(found, by_triangles(found, CAMERA, 1000.0), 1e-9)
@@ -243,7 +244,6 @@ def test_points_of_images_that_are_fixed(pixels: float) -> None:
     np.testing.assert_allclose(found.points.sigma, again.points.sigma * pixels / 0.5, rtol=1e-6)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3, 1e6])
 def test_a_resection_is_the_same_in_any_unit(unit: float) -> None:
     block, count = alone()

@@ -109,6 +109,7 @@ def test_what_was_read_before_changes_no_bit(tmp_path: pathlib.Path, frames: Obs
     assert content(tmp_path / "fresh") == content(tmp_path / "used")
 
 
+@pytest.mark.costly
 def test_the_executor_changes_no_bit(tmp_path: pathlib.Path, with_unread: Observations) -> None:
     locate_frames(tmp_path / "own", with_unread, GROUND, rows=20)
     with ThreadPoolExecutor(2) as threads:

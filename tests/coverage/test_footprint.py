@@ -313,6 +313,7 @@ def test_a_pixel_s_size_is_that_of_differences(terrain):
         assert float(found.area) == pytest.approx(lengths(np.cross(by_column, by_row)), rel=tolerance)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "image, ground, status",
     [

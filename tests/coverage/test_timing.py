@@ -88,7 +88,7 @@ def test_velocity_over_height_keeps_the_overlap_over_a_plain(height: float | Non
     assert np.ptp(np.diff(found.times)) > 0.02
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_the_shared_ground_is_exact_over_a_plain() -> None:
     found = planned(GroundShared(jnp.asarray(WISHED), stations=STATIONS))
     np.testing.assert_allclose(found.overlaps.near, WISHED, rtol=0, atol=1e-6)

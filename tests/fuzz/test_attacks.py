@@ -11,11 +11,13 @@ from jaxgeo.io.errors import RefusedFile
 from tests.fuzz.attacks import ATTACKS, Attack
 from tests.fuzz.reading import LONGEST_LINE, limits
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bounds memory and time as Linux does")
+pytestmark = [
+    pytest.mark.costly,
+    pytest.mark.skipif(sys.platform != "linux", reason="bounds memory and time as Linux does"),
+]
 MARK = pathlib.Path("/tmp/jaxgeo-was-here")
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("attack", [pytest.param(one, id=one.name) for one in ATTACKS])
 def test_a_crafted_file_is_refused_in_a_line_or_read(attack: Attack, tmp_path: pathlib.Path) -> None:
     path = attack.build(tmp_path)

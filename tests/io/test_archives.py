@@ -605,7 +605,7 @@ def test_first_hits_are_those_of_the_whole_tile(
     np.testing.assert_allclose(np.asarray(mine.ecef), np.asarray(whole.ecef), atol=1e-6, rtol=0.0)  # m
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_accuracy_over_hills_does_not_depend_on_how_far_the_model_extends(
     server: Served, cache: DemCache, archive: pathlib.Path
 ) -> None:

@@ -170,6 +170,7 @@ def test_rays_that_have_no_answer(ridge: pathlib.Path) -> None:
         intersect_files(Ray(origin, direction[:2]), files)
 
 
+@pytest.mark.costly
 def test_the_seam_of_a_mosaic_around_the_earth_is_no_edge(tmp_path: pathlib.Path) -> None:
     """A world in columns of 1 degree: a ray over the date line meets the hill on the other side."""
     posts = np.full((180, 360), 100.0)

@@ -238,6 +238,7 @@ def test_each_detection_is_a_pixel_of_its_image(observed) -> None:
     assert [int(fixes.status[row]) for row in (1, 3)] == [Status.file_not_read.code] * 2
 
 
+@pytest.mark.costly
 def test_outlines_are_what_their_edges_see(observed) -> None:
     given = [
         Detection("a.jpg", "point", np.array([[100.0, 200.0]]), {}),

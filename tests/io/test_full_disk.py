@@ -40,7 +40,10 @@ from tests.support.made_fixes import ALPS, made
 
 RASTER = MapRaster(pyproj.CRS("EPSG:32632"), Affine(5.0, 0.0, 650_000.0, 0.0, -5.0, 5_207_000.0), (200, 200))
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as Linux does")
+pytestmark = [
+    pytest.mark.costly,
+    pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as Linux does"),
+]
 
 
 @contextlib.contextmanager
@@ -103,7 +106,6 @@ WRITERS: dict[str, Callable[[pathlib.Path], None]] = {
 }
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: pathlib.Path, name: str, share: float) -> None:

@@ -176,7 +176,7 @@ def test_mistakes_about_rasters_are_named(tmp_path: pathlib.Path, terrain: str, 
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_the_command_line_takes_the_raster_of_a_scene(
     hem: pathlib.Path, values: np.ndarray, tmp_path: pathlib.Path
 ) -> None:

@@ -13,6 +13,8 @@ from support.rasters import hills, write
 
 import jaxgeo
 
+pytestmark = pytest.mark.costly
+
 SIZE = 33
 STEP = 200.0  # m between posts
 PLACES = {
@@ -100,7 +102,6 @@ def rays_over(lon: float, lat: float) -> tuple[np.ndarray, np.ndarray]:
 intersect_all = jax.jit(jax.vmap(jaxgeo.intersect, in_axes=(0, None)))
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("place", [pytest.param(p, marks=pytest.mark.slow) if p in SLOW else p for p in PLACES])
 def test_the_first_hit_is_the_same_wherever_the_file_lies(tmp_path, place):
     crs, (x, y), (across, along) = PLACES[place]

@@ -65,6 +65,7 @@ def test_the_centre_is_observed_by_default(folder) -> None:
     assert observed.batches[0].is_on_image.all()
 
 
+@pytest.mark.costly
 def test_fixes_are_those_of_locate_exposure_by_exposure(folder) -> None:
     """Over one terrain per batch, which may have a height per pixel."""
     observed = read_observations(["flight.klv", "images"], PIXELS[:1], **HOW)

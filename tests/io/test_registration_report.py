@@ -18,6 +18,8 @@ from jaxgeo.register.ties import TiePoints
 from jaxgeo.uncertainty import ErrorModel, sources
 from tests.support import looks
 
+pytestmark = pytest.mark.slow
+
 SENSOR, SHOT, DEM = looks.sensor(), looks.shot(), looks.dem()
 MODEL = ErrorModel((sources.Position.from_ned(north=5.0, east=5.0, down=5.0), sources.TerrainHeight.from_metres(4.0)))
 
@@ -50,7 +52,6 @@ def seen_places(found: Update, ground: Geodetic, heights: Any) -> np.ndarray:
 
 
 # px, of 0.15 m: on the terrain a tie is put along its own vertical, not along that of the place the map shows
-@pytest.mark.slow
 @pytest.mark.parametrize("on_planes, atol", [(True, 1e-6), (False, 1e-4)])
 def test_ties_in_their_heights_have_the_residuals_of_the_update(on_planes: bool, atol: float) -> None:
     ties = wrong_ties(on_planes=on_planes)

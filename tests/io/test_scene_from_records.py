@@ -106,6 +106,7 @@ def test_what_has_no_key_becomes_position_and_attitude_of_the_camera(name: str, 
     assert [type(one) for one in scene.errors.sources] == [sources.Position]
 
 
+@pytest.mark.costly
 def test_air_is_the_standard_atmosphere_or_refused(tmp_path: pathlib.Path) -> None:
     write_scene(tmp_path / "a.toml", *of("fixed"), atmosphere=Atmosphere(sea_level=31.0))
     assert float(read_scene(tmp_path / "a.toml").atmosphere.sea_level) == 31.0

@@ -17,6 +17,8 @@ from support.rasters import DEGREE, gdalbuildvrt, hills, write
 
 from jaxgeo.io import DemError, read_dem
 
+pytestmark = pytest.mark.costly
+
 ROWS, COLS = 8, 10
 UNDULATION = -30.0  # m
 US_FOOT = 1200 / 3937
@@ -91,7 +93,6 @@ def named(row: tuple[Unit, float, str | int, str, str]) -> str:
 QUICK = 4  # of so many rows one is run always; all with --slow
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize(
     "row",
     [

@@ -16,6 +16,8 @@ from jaxgeo.ortho.rectification import Rectified, rectify
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 
+pytestmark = pytest.mark.slow
+
 CELL = 5.0  # m, of the orthophotos
 ALIKE = 0.7  # correlation of tiles below which their shift counts as unknown
 FINE = 64  # cells of a tile
@@ -74,7 +76,6 @@ FRAMES = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("frame, number, side, count, bounds", FRAMES)
 def test_frames_lie_on_the_orthophotos(
     flight: Flight, frame: str, number: int, side: int, count: int, bounds: tuple[float, ...]
@@ -86,7 +87,6 @@ def test_frames_lie_on_the_orthophotos(
     assert np.all(np.abs(found.mean) < (1.0, 2.8))  # m: where tiles lie, on slopes that look one way, sways it
 
 
-@pytest.mark.slow
 def test_the_ground_s_height_and_not_the_camera_is_what_differs(flight: Flight) -> None:
     """With another 10 m under the frame the shifts go away from the nadir, and none across."""
     found = agreement(flight, *FRAMES[0][:2])
@@ -122,7 +122,6 @@ def village(jaxgeo_test_data: pathlib.Path) -> dict[str, tuple[Rectified, Rectif
     }
 
 
-@pytest.mark.slow
 def test_what_two_oblique_views_see_is_the_same_and_what_is_hidden_is_not(village: dict) -> None:
     """Ground that both see agrees to a third of a cell, a twelfth of the surface model's spacing; what one of them does
     not see shows roofs and trees there instead."""

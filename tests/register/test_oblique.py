@@ -26,6 +26,8 @@ from jaxgeo.studies.gu2017.scene import disturbed, looking_at
 from jaxgeo.terrain.grid import surface_point
 from jaxgeo.uncertainty import sources
 
+pytestmark = pytest.mark.slow
+
 METRES, DEGREES = 20.0, 1.0  # standard deviations of the navigation
 ROWS, COLS, FIELD = 160, 320, 16.0  # px, deg across
 SIDE, CELL = 400, 10.0  # cells of the map, m
@@ -105,13 +107,11 @@ def check_right(found: Registration, here: Scene | None = None) -> None:
     assert away @ np.linalg.solve(np.asarray(centre.cov_enu)[:2, :2], away) < 3.0**2
 
 
-@pytest.mark.slow
 def test_an_oblique_image_is_registered() -> None:
     found, _ = registered(spoilt(scene().image, seed=5), scene().reference, seed=1)
     check_right(found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 7))
 def test_an_oblique_image_is_registered_from_anywhere_near(seed: int) -> None:
     found, _ = registered(spoilt(scene().image, seed=seed), scene().reference, seed=seed)
@@ -177,7 +177,6 @@ def _corner() -> np.ndarray:
     return (row > SIDE - 20) & (col < 20)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_what_cannot_be_registered_is_said_and_leaves_the_navigation_as_it_is(case: str) -> None:
     image, reference, outcomes = CASES[case]
@@ -189,7 +188,6 @@ def test_what_cannot_be_registered_is_said_and_leaves_the_navigation_as_it_is(ca
         found.fix((0.0, 0.0))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 3))
 def test_a_texture_that_repeats_itself_is_refused_or_found_right(seed: int) -> None:
     # Near ground shows a period larger than far ground does, so that the right pose can be told in principle.
@@ -219,7 +217,6 @@ def real(jaxgeo_test_data: pathlib.Path) -> Scene:
     return Scene(sensor, shot, terrain, reference, seen.values, seen.known)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_an_oblique_image_of_a_real_orthophoto_is_registered(real: Scene, seed: int) -> None:
     found, _ = registered(spoilt(real.image, seed=seed), real.reference, seed=seed, here=real)

@@ -14,6 +14,8 @@ from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.registration import register_image
 from jaxgeo.studies.gu2017.scene import disturbed
 
+pytestmark = pytest.mark.slow
+
 CELL = 5.0  # m, of the orthophotos
 
 
@@ -22,7 +24,6 @@ def flight(jaxgeo_test_data: pathlib.Path) -> Flight:
     return Flight.of(jaxgeo_test_data)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("position, attitude_deg, count", [(50.0, 0.5, 2), (10.0, 0.05, 2), (100.0, 1.0, 2)])
 def test_disturbed_frames_find_back(flight: Flight, position: float, attitude_deg: float, count: int) -> None:
     """To less than a cell of the reference in the middle, and within the standard deviations foretold."""
@@ -36,7 +37,6 @@ def test_disturbed_frames_find_back(flight: Flight, position: float, attitude_de
         assert np.all(np.abs(one.pose_sigmas) < 3.0)
 
 
-@pytest.mark.slow
 def test_another_area_is_refused(flight: Flight) -> None:
     """The neighbouring orthophoto, moved to where the frame should be."""
     own, other = flight.reference(1), flight.reference(2)

@@ -24,6 +24,8 @@ from jaxgeo.uncertainty import sources as errors_of
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 
+pytestmark = pytest.mark.slow
+
 SENSOR, FIRST = gu2017._camera(50.0, 3_000.0, 10.0)
 GROUND = ConstantHeight(jnp.asarray(500.0))
 UV = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(jnp.linspace(100.0, 1900.0, 4), jnp.linspace(100.0, 1900.0, 3))], 1)
@@ -161,7 +163,6 @@ def test_one_after_the_other_is_all_at_once(duration):
         assert np.trace(found[2].cov_error[:3, :3]) < 0.9 * np.trace(found[0].cov_error[:3, :3])
 
 
-@pytest.mark.slow
 def test_what_each_sharing_carries_over():
     model, ties = flown(4.0)
     found = in_turn(model, ties[:1])[0]

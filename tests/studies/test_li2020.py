@@ -45,7 +45,6 @@ def column(report: li2020.Report, angle: str, field: str) -> np.ndarray:
 
 
 # The largest difference to the print, to the way with the slant range's frame, and to the one all on the map.
-@pytest.mark.costly
 @pytest.mark.parametrize(
     "angle, to_print, to_slant_range, to_map", [("heading", 3e-4, 4e-4, 1e-5), ("roll", 5e-5, 1e-3, 1e-3)]
 )
@@ -55,7 +54,6 @@ def test_formula_and_transform_agree(report, angle, to_print, to_slant_range, to
         np.testing.assert_allclose(column(report, angle, field), formula, rtol=0, atol=tolerance)
 
 
-@pytest.mark.costly
 def test_pitch_agrees_with_the_formula_and_not_with_the_print(report) -> None:
     """Both ways give one curve; the print is a constant factor beside it."""
     formula = column(report, "pitch", "formula")
@@ -65,7 +63,6 @@ def test_pitch_agrees_with_the_formula_and_not_with_the_print(report) -> None:
     np.testing.assert_allclose(column(report, "pitch", "printed") / formula, 1.02155, rtol=0, atol=1e-4)
 
 
-@pytest.mark.costly
 def test_the_distance_of_eq_16_folds(report) -> None:
     """It cannot fall below zero: from 0.8 deg of heading on more turning gives less; and a roll moves it, wrongly."""
     by_heading, along = (column(report, "heading", field) for field in ("by_eq_16", "by_slant_range"))
@@ -74,7 +71,6 @@ def test_the_distance_of_eq_16_folds(report) -> None:
     assert column(report, "roll", "by_eq_16").max() < -0.3
 
 
-@pytest.mark.costly
 def test_compensation(report) -> None:
     example, ten, minus_ten = report.compensations
     assert example.outer_change == pytest.approx(-1.01613, abs=5e-6)
@@ -90,7 +86,6 @@ def test_compensation(report) -> None:
     assert example.off == pytest.approx(1.6, abs=0.01)
 
 
-@pytest.mark.costly
 def test_lines_of_sight_of_table_4(report) -> None:
     azimuth, depression, swapped = np.array(
         [(one.azimuth, one.depression, one.swapped_azimuth) for one in report.sightings]
@@ -133,7 +128,6 @@ def test_mountain_and_periods(report) -> None:
         assert one.implied == pytest.approx(implied, abs=5e-4)
 
 
-@pytest.mark.costly
 def test_tables_show_what_was_found(report, tmp_path) -> None:
     sheets = {sheet.name: sheet for sheet in li2020.sheets_of(report)}
     assert sheets["influence"].texts()[3][:5] == ["heading", "0.8", "0.8738", "0.87383", "0.87412"]
@@ -167,7 +161,6 @@ def test_pictures_lie_where_the_records_say(report, tmp_path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"footprints.png", "attitude.png", "folding.png"}
 
 
-@pytest.mark.costly
 def test_folding() -> None:
     """Along the flight the overlap goes on rising with Eq 18; the distance of Eq 16 turns back at 0.78 deg."""
     turns = np.linspace(0.0, 1.2, 61)
@@ -204,7 +197,6 @@ EQUATIONS, TABLES, FIGURES = range(1, 37), range(1, 5), range(1, 13)  # as they 
 MISPRINTS = (6, 7, 8, 11, 12, 14, 19, 25, 29, 30, 31, 33, 34, 35, 36)
 
 
-@pytest.mark.costly
 def test_claims_are_complete(report) -> None:
     claims = li2020.claims_of(report)
     items = {one.item.split(",")[0] for one in claims}
@@ -216,7 +208,6 @@ def test_claims_are_complete(report) -> None:
         assert callable(resolve(one.function))
 
 
-@pytest.mark.costly
 def test_verdicts_of_what_is_not_flown(report) -> None:
     claims = li2020.claims_of(report)
     explained = [one.item for one in claims if one.verdict is Verdict.explained]

@@ -52,7 +52,6 @@ def level() -> list[li2023.Accuracy]:
     return li2023.over_level_ground(samples=20_000, key=KEY)
 
 
-@pytest.mark.costly
 def test_pointing_errors(pointing) -> None:
     """Both readings of the paper's line of sight give its figures; printed: 0.0681 deg, 98.4 and 86.24 %."""
     for found in pointing:
@@ -66,7 +65,6 @@ def test_pointing_errors(pointing) -> None:
             assert abs(found.sampled_within[limit] - share) < 3.5 * error
 
 
-@pytest.mark.costly
 def test_less_than_half_lie_in_the_band(pointing) -> None:
     """The paper says that more than 50 % lie from 0.004 to 0.05 deg."""
     linear, sampled = pointing[0].in_band
@@ -74,7 +72,6 @@ def test_less_than_half_lie_in_the_band(pointing) -> None:
     assert sampled < 0.47
 
 
-@pytest.mark.costly
 def test_pointing_distribution_is_the_gaussians(pointing) -> None:
     """RMS from the distribution: the mean square is what the share above takes in."""
     found = pointing[0]
@@ -83,7 +80,6 @@ def test_pointing_distribution_is_the_gaussians(pointing) -> None:
     assert math.degrees(math.sqrt(mean_square)) == pytest.approx(found.linear_rms, abs=1e-4)
 
 
-@pytest.mark.costly
 def test_fig_5() -> None:
     found = li2023.fig_5(FRAMES, tuple(FIG_5))
     expected = np.array(list(FIG_5.values()))
@@ -92,7 +88,6 @@ def test_fig_5() -> None:
     assert np.all(found.full > found.height_only)
 
 
-@pytest.mark.costly
 def test_targets_of_table_2() -> None:
     expected = [(-0.41, -9.70), (-47.91, 20.28), (-10.65, 99.96), (-5.91, 0.91)]
     found = [(row.north, row.east) for row in li2023.table_2()]
@@ -294,7 +289,6 @@ def test_tables_show_what_was_found(level, pointing) -> None:
     assert sheets.pointing_sheet(pointing).to_rich(100).row_count == 8
 
 
-@pytest.mark.costly
 def test_refusals(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", ""))
     with pytest.raises(ValueError, match="samples must be at least 2; got 1"):

@@ -13,6 +13,8 @@ from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.terrain.search import batched, first_hit
 
+pytestmark = pytest.mark.costly
+
 SAME = 5e-9  # m of clearance: what the rounding of an ECEF position leaves open, and other batches round otherwise
 
 
@@ -156,7 +158,6 @@ WITHOUT_JIT = {"alone", "on_an_explicit_mesh"}
 SLOW = set(WAYS) - {"alone"}  # each compiles for seconds
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in WAYS])
 def test_every_way_to_batch_gives_the_same_answers(name):
     dem = small_dem(rough(5))
@@ -182,7 +183,6 @@ def test_a_batch_of_terrains(way):
     assert_same(fix, both)
 
 
-@pytest.mark.costly
 def test_an_empty_batch_is_empty():
     fix = hit_all(jax.tree.map(lambda x: x[:0], RAYS), small_dem(rough(5)))
     assert fix.ecef.shape == (0, 3)

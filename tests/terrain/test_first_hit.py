@@ -135,6 +135,7 @@ def test_a_ray_along_the_surface_is_near_tangent():
     assert np.all(np.isfinite(fix.ecef))
 
 
+@pytest.mark.costly
 def test_the_void_is_entered_at_its_ceiling_and_passed_above_it():
     ray = local_ray(95, 0, 1000)
     low, high = (hit([ray], small_dem(with_void(), void_ceiling=ceiling)) for ceiling in (400.0, 700.0))

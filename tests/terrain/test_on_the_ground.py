@@ -12,6 +12,8 @@ from support.scenes import SIZE, hit, small_dem
 
 from jaxgeo import WGS84, ConstantHeight, Geodetic, Ray, Status
 
+pytestmark = pytest.mark.costly
+
 TERRAINS = {
     "level": ConstantHeight(600.0),
     "posts": small_dem(600.0 + 50.0 * np.random.default_rng(0).uniform(size=(SIZE, SIZE))),
@@ -42,7 +44,6 @@ def begins(terrain: Any, above: float) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(found[0]), np.asarray(found[1])
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("name", TERRAINS)
 def test_up_rays_rise_and_down_rays_meet_the_ground_at_zero(name: str) -> None:
     terrain = TERRAINS[name]
@@ -54,7 +55,6 @@ def test_up_rays_rise_and_down_rays_meet_the_ground_at_zero(name: str) -> None:
     np.testing.assert_allclose(falling.ecef, origin, rtol=0, atol=1e-7)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("name", TERRAINS)
 def test_a_millimetre_is_told_from_the_ground(name: str) -> None:
     terrain = TERRAINS[name]
@@ -66,7 +66,6 @@ def test_a_millimetre_is_told_from_the_ground(name: str) -> None:
     np.testing.assert_allclose(found.slant_range, 1e-3, rtol=0, atol=1e-8)
 
 
-@pytest.mark.costly
 def test_from_a_valley_the_opposite_slope_is_met() -> None:
     """Level along a valley's side, from the ground on: the hill beyond hides nothing of the way to it."""
     col = np.abs(np.arange(SIZE) - SIZE // 2)

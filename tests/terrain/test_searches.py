@@ -168,6 +168,7 @@ def first_height(dem: Dem, ray: Ray, search=None) -> float:
     return float(dem.over(ray.at(distance[0]))[1])
 
 
+@pytest.mark.costly
 def test_first_hit_sees_the_ridge_and_the_plateau() -> None:
     front = 40.0 + 20.0 / (2.0 + math.tan(math.radians(15.0))) * math.tan(math.radians(15.0))
     assert first_height(*ridge()) == pytest.approx(front, abs=0.02, rel=0)

@@ -83,6 +83,7 @@ def test_large_figures_and_whole_shares_are_in_full() -> None:
     assert explain_method(nowhere, Method.samples).startswith("100 % of the perturbed lines of sight meet no known")
 
 
+@pytest.mark.costly
 def test_samples_that_the_accuracy_is_of_are_said_to_be_those(checked: AccuracyCheck) -> None:
     assert "these samples" not in checked.words
     own = AccuracyCheck(dataclasses.replace(checked.accuracy, sampled=checked.sampled), checked.sampled)
@@ -95,6 +96,7 @@ def test_digits_that_are_no_whole_number_are_refused() -> None:
             compare(*LOOK, digits=digits)
 
 
+@pytest.mark.costly
 def test_a_share_that_cannot_be_told_is_refused(checked: AccuracyCheck) -> None:
     with pytest.raises(ValueError, match="CX was not asked for"):
         checked.sampled.share_within("CX", 1.0)
@@ -143,6 +145,7 @@ def test_a_budget_where_linear_propagation_is_not_valid_gives_shares_only(checke
     np.testing.assert_allclose(whole, found.total, rtol=1e-12)
 
 
+@pytest.mark.costly
 def test_a_budget_of_another_probability_or_of_many_fixes_is_refused(checked: AccuracyCheck) -> None:
     assert budget(checked.accuracy, 0.9) == budget(checked.accuracy)
     with pytest.raises(ValueError, match=r"of probability 0.9; for 0.5, pass it to jaxgeo\.accuracy"):
@@ -166,7 +169,7 @@ def test_samples_on_other_ground_are_those_of_the_comparison() -> None:
     assert again.within.value == pytest.approx(0.9, abs=0.03)  # five standard deviations of both
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_everything_prints_the_same_number_for_the_fix_of_the_demonstration(tmp_path: pathlib.Path) -> None:
     """The demonstration, its budget, one and many fixes, `jaxgeo locate` and the report."""
     from typer.testing import CliRunner

@@ -48,7 +48,6 @@ def along_a_line(look):
     return eqx.tree_at(lambda p: (p.jacobian, p.model, p.cov_enu), look, (jacobian, model, cov)), slopes
 
 
-@pytest.mark.costly
 def test_a_design_meets_its_target_for_less_than_equal_scaling(look, today):
     result = design(look, target=0.4 * today, cost=InverseCost(WEIGHTS))
     assert result.outcome is Outcome.optimal
@@ -61,7 +60,6 @@ def test_a_design_meets_its_target_for_less_than_equal_scaling(look, today):
     np.testing.assert_allclose(sigmas_of(result.model), result.sigmas)
 
 
-@pytest.mark.costly
 def test_errors_along_a_line_have_a_closed_form(along_a_line):
     """Of sum w s0/s with sum (a s)^2 held, Lagrange gives s^3 as w s0/a^2."""
     propagation, slopes = along_a_line
@@ -75,7 +73,6 @@ def test_errors_along_a_line_have_a_closed_form(along_a_line):
     assert result.multiplier == pytest.approx(result.cost / target, rel=1e-5)  # the cost goes as 1 / target
 
 
-@pytest.mark.costly
 def test_the_multiplier_is_the_cost_of_a_metre(look, today):
     costs = [design(look, target=0.4 * today + step).cost for step in (-0.01, 0.01)]
     multiplier = design(look, target=0.4 * today).multiplier

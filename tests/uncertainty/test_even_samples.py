@@ -91,7 +91,7 @@ def test_the_first_numbers_are_what_the_fix_depends_on(scene) -> None:
     assert np.sum(by_number[:, :3] ** 2) > 0.999 * np.sum(by_number**2)
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_ce90_is_three_times_as_sure_as_of_independent_samples() -> None:
     """Variance over 40 keys, whose ratio is itself known to a factor of 1.9; intervals at 95 % hold 84 % or more."""
     model = ErrorModel((*ANGLES, sources.TerrainHeight.from_metres(4.0)))

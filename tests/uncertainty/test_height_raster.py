@@ -106,7 +106,7 @@ def test_where_it_is_unknown_functions_of_one_fix_say_so(grid: TangentGrid, post
             function(*SCENE, model)
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_where_it_is_unknown_figures_of_many_are_not_numbers(grid: TangentGrid, posts: np.ndarray) -> None:
     uv = np.array([looks.LEVEL_UV, (1300.0, 1500.0), (0.0, 0.0), (2399.0, 3199.0)])
     model = errors(sources.TerrainHeightRaster.from_array(posts[:, : SHAPE[1] // 2 + 2], grid))

@@ -133,6 +133,7 @@ def test_parts_may_leave_gaps_and_come_from_other_processes(whole) -> None:
     np.testing.assert_array_equal(jaxgeo.io.samples_dataset(both)["sample"], numbers)
 
 
+@pytest.mark.costly
 def test_samples_that_fail_are_counted_in_every_part() -> None:
     """Parts whose statuses differ: one has none that fails."""
     horizon = -math.degrees(math.acos(6.37e6 / (6.37e6 + 3000.0)))

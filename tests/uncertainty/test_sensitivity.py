@@ -193,6 +193,7 @@ def test_mistakes_are_named(options, words):
         sobol_indices(a_sensor(), a_shot(), UV, GROUND, some_errors(), sampling=sampling, **own)
 
 
+@pytest.mark.costly
 def test_names_that_are_none_are_refused():
     with pytest.raises(ValueError, match="group must be one of attitude"):
         indices_at(60.0, 1.0).of("weather")

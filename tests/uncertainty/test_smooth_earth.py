@@ -14,6 +14,8 @@ from jaxgeo import ConstantHeight, Ellipsoid, Pose, Shot
 from jaxgeo.earth import WGS84
 from jaxgeo.uncertainty import ErrorModel, Random, Sobol, propagate, sample, second_order, sigma_points, sources
 
+pytestmark = pytest.mark.costly
+
 RADIUS = 6_371_008.8  # m
 HEIGHT, SLANT_RANGE = 15_000.0, 60_000.0
 OFF_NADIR = math.acos(((RADIUS + HEIGHT) ** 2 + SLANT_RANGE**2 - RADIUS**2) / (2.0 * (RADIUS + HEIGHT) * SLANT_RANGE))
@@ -44,7 +46,6 @@ def linear(scene):
     return propagate(*scene)
 
 
-@pytest.mark.costly
 def test_published_figures(linear) -> None:
     """The figures were computed for a line of sight that keeps its direction in space when the platform is displaced;
     here it keeps that against the level there, which turns by as much as the Earth is round: 5e-5 of the figures."""
@@ -53,7 +54,6 @@ def test_published_figures(linear) -> None:
     assert float(linear.circular_error(0.9)) == pytest.approx(42.2238, abs=2.5e-3)
 
 
-@pytest.mark.costly
 def test_published_derivatives(linear) -> None:
     """Along the look by elevation S / cos i, across it S, by height tan i; the incidence i is 75.784 deg."""
     axes = {name: np.asarray(column) for name, column in zip(linear.model.axes, linear.jacobian.T, strict=True)}
@@ -62,7 +62,6 @@ def test_published_derivatives(linear) -> None:
     assert abs(axes["terrain height: height"][1]) == pytest.approx(3.947, abs=1e-3)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("method", [pytest.param(second_order, marks=pytest.mark.slow), sigma_points])
 def test_middle_ways_agree(scene, linear, method) -> None:
     moments = method(*scene)
@@ -89,7 +88,6 @@ def test_samples_agree(linear, drawn) -> None:
     assert points.found == points.count == 2**16
 
 
-@pytest.mark.costly
 def test_turned_sobol_points_are_ten_times_as_good(linear, drawn) -> None:
     """The variance of CE50 from 2^10 points, against as many plain draws."""
     truth = float(linear.circular_error(0.5))
@@ -101,7 +99,6 @@ def test_turned_sobol_points_are_ten_times_as_good(linear, drawn) -> None:
     assert squared[Sobol()] * 10.0 < squared[Random()]
 
 
-@pytest.mark.costly
 def test_intervals_hold_the_truth(linear, drawn) -> None:
     for result in drawn.values():
         for probability in (0.5, 0.9):

@@ -317,7 +317,7 @@ def nees_of(state: TargetState, p_ecef: Any, cov_enu: Any = None) -> float:
 @pytest.mark.parametrize(
     "target, velocity",
     [
-        pytest.param(AtRest(), (0.0, 0.0, 0.0), marks=pytest.mark.costly, id="still"),
+        pytest.param(AtRest(), (0.0, 0.0, 0.0), marks=pytest.mark.slow, id="still"),
         pytest.param(ConstantVelocity(), (8.0, 3.0, 0.0), marks=pytest.mark.slow, id="moving"),
     ],
 )
@@ -603,7 +603,7 @@ def looks_towards(east: float, up: float, above: float, count: int = 1, rows: An
     return Looks(SENSOR, shots, np.array([(MIDDLE[0], MIDDLE[1] + row) for row in rows]))
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 @pytest.mark.parametrize("east", [0.0, 1700.0, 1794.0, 1799.0], ids="{:g} m".format)
 def test_a_look_beside_the_edge_of_the_terrain_is_that_of_linear_propagation(east: float) -> None:
     ground, errors = hilly(lambda x: 600.0 - 0.3 * x), dataclasses.replace(PIXEL, sigma=np.array([30.0, 30.0]))

@@ -29,6 +29,8 @@ from jaxgeo.uncertainty.model import checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
+pytestmark = pytest.mark.costly
+
 CENTRE = Geodetic.from_degrees(lat=46.0, lon=8.0, height=0.0)
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=20_000.0, width=401, height=401)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.forward())
@@ -155,7 +157,6 @@ def test_constant_height_needs_no_samples() -> None:
     assert str(half).startswith("CE50")
 
 
-@pytest.mark.costly
 def test_no_fix_is_said() -> None:
     up = Shot(Pose(CENTRE.__class__.from_degrees(lat=46.0, lon=8.0, height=3000.0), 0.0, 0.5, 0.0))
     with pytest.raises(ValueError, match="cannot estimate accuracy, there is no fix: rises_away"):
@@ -164,7 +165,7 @@ def test_no_fix_is_said() -> None:
         accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL, probability=1.5)
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_samples_are_drawn_until_every_figure_is_decided() -> None:
     """100 000 samples leave LE90 over level ground undecided to two digits; parts are the samples of one call."""
     look = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, looks.level_errors())
