@@ -24,7 +24,7 @@ SLOW = {  # of what they compile
     "uncertainty/_simulate_looks.py",
     "uncertainty/_track.py",
 }
-COSTLY = {"uncertainty/_error_samples.py"}
+COSTLY = {"adjust/intersection.py", "uncertainty/_error_samples.py"}
 # What no reader should look for in vain: the doors through which most come.
 DOORS = {
     "__init__.py": "",

@@ -146,6 +146,7 @@ def test_samples_about_their_mean_lie_where_they_were(ax) -> None:
         np.testing.assert_allclose(middle, mean[:2], rtol=0, atol=0.7, err_msg=label)
 
 
+@pytest.mark.costly
 def test_samples_that_jump_are_marked_and_in_the_picture(ax) -> None:
     plot.error_cloud(compared(jumps=60, failed=100), ax)
     crosses = line(ax, "_jumped")

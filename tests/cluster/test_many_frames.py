@@ -117,6 +117,7 @@ def test_the_executor_changes_no_bit(tmp_path: pathlib.Path, with_unread: Observ
     assert content(tmp_path / "own") == content(tmp_path / "threads")
 
 
+@pytest.mark.costly
 def test_a_file_that_could_not_be_read_is_a_row_with_its_reason(tmp_path, with_unread: Observations) -> None:
     run = locate_frames(tmp_path / "fixes", with_unread, GROUND)
     found = table(run.folder, run.parts)

@@ -32,10 +32,9 @@ import jaxgeo
 from jaxgeo import Fix, Ray, Status
 from jaxgeo.io import DemError, intersect_files, locate_files, locate_on_disk, open_dem, read_dem
 
-pytestmark = pytest.mark.usefixtures("small_blocks")
+pytestmark = [pytest.mark.costly, pytest.mark.usefixtures("small_blocks")]
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize(
     "kind", ["whole.tif", "shared", pytest.param("beside/*.tif", marks=pytest.mark.slow), "mosaic.vrt"]
 )
@@ -58,7 +57,6 @@ def test_every_answer_is_that_over_the_whole(
     assert all(counts.get(Status[name], 0) > 2 for name in wanted)
 
 
-@pytest.mark.costly
 def test_a_ridge_in_the_first_tile_hides_the_plain_in_the_second(ridge: pathlib.Path) -> None:
     """Against a march over the array: zero wrong, of rays of which many would reach the plain without the ridge."""
     rng = np.random.default_rng(3)
@@ -77,7 +75,6 @@ def test_a_ridge_in_the_first_tile_hides_the_plain_in_the_second(ridge: pathlib.
     assert 20 < np.sum(on_ridge & clear) < 180
 
 
-@pytest.mark.costly
 def test_the_window_of_a_corridor_has_no_edge_for_its_rays(ridge: pathlib.Path, expected: Fix) -> None:
     """`corridor` for each kind of ray alone, used with plain `intersect`; its grid lies where the mosaic's does."""
     rays = mixed_rays()
@@ -97,7 +94,6 @@ def test_the_window_of_a_corridor_has_no_edge_for_its_rays(ridge: pathlib.Path, 
     np.testing.assert_array_equal(wide, narrow + 10)
 
 
-@pytest.mark.costly
 def test_a_missing_tile_is_never_hit(ridge: pathlib.Path, tmp_path: pathlib.Path) -> None:
     """Unknown ground, with its ceiling the same for every window: that of the highest post anywhere, or as stated."""
     posts = ridge_before_plain()
@@ -116,7 +112,6 @@ def test_a_missing_tile_is_never_hit(ridge: pathlib.Path, tmp_path: pathlib.Path
         same(fix, answers(into, whole(path, void_ceiling=ceiling)))
 
 
-@pytest.mark.costly
 def test_pixels_of_a_shot_see_the_same_ground(ridge: pathlib.Path) -> None:
     """`locate_files` is `locate` over the whole, pixels beside the image included."""
     camera = jaxgeo.FrameCamera.from_pixels(focal_px=800.0, width=640, height=480)
@@ -137,7 +132,6 @@ def test_pixels_of_a_shot_see_the_same_ground(ridge: pathlib.Path) -> None:
     np.testing.assert_allclose(np.asarray(fix.ecef).reshape(-1, 3)[:5], expected.ecef, rtol=0, atol=1e-7)
 
 
-@pytest.mark.costly
 def test_rays_too_far_apart_are_refused_or_grouped(ridge: pathlib.Path) -> None:
     files = open_dem(ridge / "shared", vertical_datum="ellipsoid")
     rays = rays_to(np.array([20.0, 180.0]), np.array([60.0, 180.0]), 110.0, 1.0, 0.5, 2000.0)
@@ -149,7 +143,6 @@ def test_rays_too_far_apart_are_refused_or_grouped(ridge: pathlib.Path) -> None:
         intersect_files(low, files, max_posts=20)
 
 
-@pytest.mark.costly
 def test_rays_that_have_no_answer(ridge: pathlib.Path) -> None:
     files = open_dem(ridge / "shared", vertical_datum="ellipsoid")
     rays = rays_to(np.full(5, 100.0), np.full(5, 100.0), 110.0, 0.0, 0.5, 2000.0)
@@ -170,7 +163,6 @@ def test_rays_that_have_no_answer(ridge: pathlib.Path) -> None:
         intersect_files(Ray(origin, direction[:2]), files)
 
 
-@pytest.mark.costly
 def test_the_seam_of_a_mosaic_around_the_earth_is_no_edge(tmp_path: pathlib.Path) -> None:
     """A world in columns of 1 degree: a ray over the date line meets the hill on the other side."""
     posts = np.full((180, 360), 100.0)

@@ -28,6 +28,8 @@ from jaxgeo.terrain import (
     WholeTerrain,
 )
 
+pytestmark = pytest.mark.costly
+
 POSTS, SPACING = 65, 30.0  # m
 AHEAD = SPACING * (np.arange(POSTS) - POSTS // 2)  # m beyond the middle, along the look
 BATCH = 8
@@ -77,7 +79,6 @@ def plateau(first: float, last: float) -> tuple[Dem, Ray]:
 # Laws on a plane. k = tan(slope along the look) / tan(depression); k > 0 rises along the look.
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("k, evaluations", [(-0.9, 91), (-0.5, 23), (0.0, 11), (0.5, 7), (0.9, 4)])
 def test_evaluations_of_fast_iteration_on_a_plane(k: float, evaluations: int) -> None:
     """From 200 m above the target to 0.2 m, h(Zmax) counted."""
@@ -88,7 +89,6 @@ def test_evaluations_of_fast_iteration_on_a_plane(k: float, evaluations: int) ->
     assert 0.0 <= run.clearance[0] <= 0.2
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("k", [-0.9, -0.5, 0.0, 0.5, 0.9])
 def test_fast_iteration_contracts_by_half_of_one_less_k(k: float) -> None:
     dem, ray = plane(k)
@@ -96,7 +96,6 @@ def test_fast_iteration_contracts_by_half_of_one_less_k(k: float) -> None:
     np.testing.assert_allclose(height[1:3] / height[:2], (1.0 - k) / 2.0, rtol=0, atol=2e-4)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("k", [-0.9, -0.5, 0.5, 0.9, 1.0, 1.5])
 def test_photogrammetric_iteration_contracts_by_k(k: float) -> None:
     dem, ray = plane(k)
@@ -104,7 +103,6 @@ def test_photogrammetric_iteration_contracts_by_k(k: float) -> None:
     np.testing.assert_allclose(height[1:] / height[:-1], -k, rtol=0, atol=2e-4)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("k, ending", [(0.5, Ending.converged), (1.0, Ending.cycled), (1.5, Ending.diverged)])
 def test_photogrammetric_iteration_cycles_and_diverges(k: float, ending: Ending) -> None:
     dem, ray = plane(k)
@@ -116,7 +114,6 @@ def test_photogrammetric_iteration_cycles_and_diverges(k: float, ending: Ending)
     assert (run.evaluations[0] == 101) == (ending == Ending.cycled)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("k", [-0.9, -0.5, 0.5, 0.9, 1.5])
 def test_the_secant_is_exact_on_a_plane(k: float) -> None:
     """One step: Z0, h(Z0), and the plane itself. The segmented search begins with it and is as good."""
@@ -127,7 +124,6 @@ def test_the_secant_is_exact_on_a_plane(k: float) -> None:
         assert abs(run.height[0]) < 0.02  # m, what the Earth curves away under the line
 
 
-@pytest.mark.costly
 def test_the_printed_improved_step_is_exact_on_a_rising_plane() -> None:
     dem, ray = plane(0.5)
     run, _ = run_of(ImprovedLiteral(start=150.0), dem, ray)
@@ -137,14 +133,12 @@ def test_the_printed_improved_step_is_exact_on_a_rising_plane() -> None:
     assert abs(run.height[0]) < 0.05  # m
 
 
-@pytest.mark.costly
 def test_the_printed_improved_step_is_photogrammetric_on_falling_ground() -> None:
     dem, ray = plane(-0.5)
     height = np.asarray(trace(ImprovedLiteral(start=100.0, eps=0.0), ray, dem, 4).height)
     np.testing.assert_allclose(height[1:] / height[:-1], 0.5, rtol=0, atol=2e-4)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("k", [-0.5, 0.5])
 def test_exhaustive_search_takes_every_step_down_to_eps(k: float) -> None:
     dem, ray = plane(k)
@@ -168,7 +162,6 @@ def first_height(dem: Dem, ray: Ray, search=None) -> float:
     return float(dem.over(ray.at(distance[0]))[1])
 
 
-@pytest.mark.costly
 def test_first_hit_sees_the_ridge_and_the_plateau() -> None:
     front = 40.0 + 20.0 / (2.0 + math.tan(math.radians(15.0))) * math.tan(math.radians(15.0))
     assert first_height(*ridge()) == pytest.approx(front, abs=0.02, rel=0)
@@ -176,7 +169,6 @@ def test_first_hit_sees_the_ridge_and_the_plateau() -> None:
     assert first_height(dem, ray) == pytest.approx(200.0, abs=0.5, rel=0)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize(
     "search",
     [
@@ -204,12 +196,10 @@ def test_short_steps_see_the_narrow_ridge() -> None:
     assert run_of(ExhaustiveFirst(window=HeightsBetween(0.0, 60.0)), dem, ray)[1] == [Outcome.first_hit]
 
 
-@pytest.mark.costly
 def test_bisection_finds_the_hidden_slope() -> None:
     assert first_height(*ridge(), search=Bisection()) == pytest.approx(0.0, abs=0.01, rel=0)
 
 
-@pytest.mark.costly
 def test_a_near_peak_outside_the_target_area_hides_from_fast_iteration() -> None:
     dem, ray = plateau(-210.0, -60.0)
     assert run_of(FastIteration(window=AREA), dem, ray)[1] == [Outcome.farther_hit]
@@ -249,7 +239,6 @@ def test_the_secant_runs_away_where_ray_and_ground_are_parallel() -> None:
 # The interface.
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("search", EVERY_SEARCH.values(), ids=EVERY_SEARCH.keys())
 def test_statuses(search) -> None:
     """What keeps a ray from an answer is said, and is a failure."""
@@ -269,7 +258,6 @@ def test_statuses(search) -> None:
     assert over_void.status[0] == Status.hits_void
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize(
     "search", [FastIteration(window=AREA), pytest.param(ImprovedLiteral(start=30.0), marks=pytest.mark.slow)]
 )
@@ -287,7 +275,6 @@ def test_single_and_nested_rays_run_as_in_a_batch(search) -> None:
         np.testing.assert_allclose(np.asarray(getattr(alone, name)), every[3], rtol=0, atol=1e-6)
 
 
-@pytest.mark.costly
 def test_intersect_keeps_the_answer_of_the_method() -> None:
     """The polish does not move it by more than a micrometre or so, and failures have no coordinates."""
     search = FastIteration(window=AREA)

@@ -105,6 +105,7 @@ def test_ce90_is_three_times_as_sure_as_of_independent_samples() -> None:
     assert variance[Random()] > 3.0 * variance[Sobol()]
 
 
+@pytest.mark.costly
 def test_any_number_of_samples_from_any_first_one() -> None:
     """Also with more scrambles than divide it; figures are those of all samples."""
     whole = sample(*SCENE, key=KEY, draws=Sobol(), count=1003, keep=True)

@@ -48,6 +48,7 @@ def test_derivatives_are_those_of_linear_propagation_times_the_factors() -> None
     np.testing.assert_allclose(slope, found, rtol=1e-12)  # in proportion to sigma
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("probability", [0.05, 0.5, 0.9, 0.99])
 def test_on_level_ground_they_are_those_of_linear_propagation(probability: float) -> None:
     scene = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL, looks.level_errors())

@@ -184,6 +184,7 @@ def test_a_camera_of_another_size_is_another_sensor() -> None:
     assert ours.differences(theirs) == ["sensor"]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("other", [None, 3, []])
 def test_merging_anything_else(whole, other) -> None:
     with pytest.raises(TypeError, match=r"merge takes Sampled parts, as merge\(second, third\); got"):
@@ -225,12 +226,14 @@ def test_a_timeout_that_is_no_number() -> None:
         check_timeout("5")
 
 
+@pytest.mark.costly
 def test_the_last_samples_of_a_key() -> None:
     last = part(2**32 - 10, 2**32)
     np.testing.assert_array_equal(last.merge(part(2**32 - 30, 2**32 - 10)).errors_enu[-10:], last.errors_enu)
     assert len(np.unique(last.errors_enu[:, 0])) == 10
 
 
+@pytest.mark.costly
 def test_about_the_mean_of_a_part(whole) -> None:
     about = part(500, 900, about_mean=True)
     np.testing.assert_allclose(about.mean_enu, whole.errors_enu[500:900].mean(axis=0), atol=1e-9)
