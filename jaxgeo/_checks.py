@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -116,6 +117,13 @@ def concrete(value: Any) -> np.ndarray | None:
 def is_known(tree: Any) -> bool:
     """Whether no number of `tree` is traced: a call by itself, outside `jit`, `vmap` and derivatives."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def by_numpy_if_known(function: Callable[..., Any], *values: Any) -> Any:
+    """`function(xp, *values)`: by NumPy in a call by itself, where JAX would compile each operation; traced by JAX."""
+    if trace_state_clean() and is_known(values):
+        return jax.device_put(function(np, *jax.tree.map(np.asarray, values)))
+    return function(jnp, *values)
 
 
 def check_finite(value: Any, name: str, unit: str) -> None:

@@ -110,6 +110,11 @@ def counts_as_fix(code: Indices) -> Flags:
     return (code == Status.hit) | (code == Status.near_tangent)
 
 
+def have_fix(codes: ArrayLike) -> np.ndarray:
+    """Which of a concrete array of codes count as a fix, by NumPy (see `counts_as_fix`)."""
+    return np.isin(np.asarray(codes), [Status.hit.value, Status.near_tangent.value])
+
+
 def count_statuses(codes: ArrayLike) -> dict[Status, int]:
     """Number of occurrences of each status in a concrete array of codes; only those that occur."""
     values, counts = np.unique(np.asarray(codes), return_counts=True)

@@ -229,3 +229,30 @@ def test_programs_that_the_cache_of_jax_still_has_are_compiled_anew(tmp_path: pa
     for program in folder.glob("program-*"):
         program.unlink()
     assert [fix_of_a_process(tmp_path)[0] for _ in range(2)] == [first, first]
+
+
+INPUTS = """
+import json, jax, jaxgeo
+from jaxgeo.demo import scene_file
+from jaxgeo.io.scene import read_scene
+from jaxgeo.uncertainty.metrics import error_ellipse
+jaxgeo.enable_x64()
+compiled = []
+on = lambda name, _, **about: compiled.append(about.get("fun_name")) if name.endswith("jaxpr_trace_duration") else None
+jax.monitoring.register_event_duration_secs_listener(on)
+scene, ground = read_scene(scene_file()), jaxgeo.io.example_dem()
+jaxgeo.Geodetic.from_degrees(lat=[47.0, 48.0], lon=[11.0, 12.0], height=[0.0, 1.0])
+error_ellipse([[4.0, 1.0], [1.0, 9.0]], 0.9)
+print(json.dumps([str(name) for name in compiled]))
+"""
+
+
+@pytest.mark.costly
+def test_what_is_made_of_known_numbers_compiles_no_single_operations() -> None:
+    """As 70 of them would take half a second of every command."""
+    done = subprocess.run([sys.executable, "-c", INPUTS], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    alone = {"true_divide", "broadcast_in_dim", "deg2rad", "stage", "unstack", "log1p", "remainder", "add"}
+    compiled = json.loads(done.stdout)
+    assert "_ellipse" in compiled
+    assert not alone & set(compiled)

@@ -79,7 +79,7 @@ def _write_demo_scene(path: pathlib.Path) -> None:
 
 def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any]:
     """(rows of fixes, the demo), printed if `shows`."""
-    compile_quickly(meanwhile=("jaxgeo.demo", "jaxgeo.plot"))
+    compile_quickly()
     from jaxgeo import demo
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import height_msl

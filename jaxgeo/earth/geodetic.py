@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64, check_finite, check_range, require_x64
+from jaxgeo._checks import as_float64, by_numpy_if_known, check_finite, check_range, require_x64
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField
 
@@ -39,7 +39,8 @@ class Geodetic(Record):
         check_finite(height, "height", "m above the ellipsoid")
         given = as_float64((lat, lon, height), "Geodetic.from_degrees(lat, lon, height)")
         lat, lon, height = (jnp.stack(x) if isinstance(x, list | tuple) else x for x in given)
-        return cls(lat=jnp.deg2rad(lat), lon=jnp.deg2rad(lon), height=height)
+        lat, lon = by_numpy_if_known(lambda xp, lat, lon: (xp.deg2rad(lat), xp.deg2rad(lon)), lat, lon)
+        return cls(lat=lat, lon=lon, height=height)
 
     def to_degrees(self) -> tuple[ScalarField, ScalarField, ScalarField]:
         """(lat, lon, height) in deg, deg, m."""

@@ -161,7 +161,7 @@ def read_dem_and_report(
     if bounds is None:
         check_nodata_used(source, (float(lowest), float(highest)))
     grid, error = make_grid(name, closed.mapping)
-    along, across = grid.cell_size()
+    along, across = np.asarray(grid.cell_size())
     report = DemReport(
         files=tuple(tile.path for tile in source.mosaic.tiles),
         crs=source.mosaic.first.crs.name,

@@ -9,7 +9,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.fix import Fix
@@ -19,7 +18,7 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.io.observations import ObservationBatch, Observations, frame_camera_of
 from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.observation import Observation
-from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.status import Status, have_fix
 
 ANCHORS = ("centre", "bottom")
 PIECES = 32  # of an outline, at least: edges are straight in the image, and follow the ground in these pieces
@@ -132,7 +131,7 @@ def outlines_on_ground(fixes: Fix, rows: Sequence[np.ndarray]) -> DetectedOutlin
     """The outlines of detections, from the fixes of `outline_observations`."""
     lat, lon, height = (np.asarray(one) for one in fixes.position.to_degrees())
     places, codes = np.stack([lon, lat, height], axis=-1), np.asarray(fixes.status)
-    known = np.asarray(counts_as_fix(jnp.asarray(codes))) & np.isfinite(places).all(axis=1)
+    known = have_fix(codes) & np.isfinite(places).all(axis=1)
     rings: list[np.ndarray | None] = []
     statuses: list[str | None] = []
     for own in rows:

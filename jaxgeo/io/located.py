@@ -16,7 +16,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.observations import ObservationBatch, Observations, axes_of
 from jaxgeo.observation import Observation
 from jaxgeo.sensor import Shot
-from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.status import Status, have_fix
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty import Accuracy, Sampling, accuracy
 from jaxgeo.uncertainty._accuracy import SAMPLES
@@ -68,7 +68,7 @@ def accuracy_of_observations(
     progress bars. Raises as `accuracy`.
     """
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
-    has_fix = _have_fix(fixes)
+    has_fix = have_fix(fixes.status)
     sampling, found, rows = Sampling(count=count, progress=progress), [], []
     for batch, ground in _pairs(observed, terrain):
         index = np.flatnonzero(has_fix[batch.rows])
@@ -91,11 +91,7 @@ def located_with_accuracy(
     ((batch, ground),) = _pairs(observed, terrain)
     found = _accuracy_of(batch, ground, np.arange(1), probability, Sampling(count=SAMPLES))
     fix = jax.tree.map(np.asarray, found.fix)
-    return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if _have_fix(fix).all() else None
-
-
-def _have_fix(fixes: Fix) -> np.ndarray:
-    return np.isin(fixes.status, [int(one) for one in Status if counts_as_fix(one.code)])
+    return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if have_fix(fix.status).all() else None
 
 
 def _accuracy_of(

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pyproj
 from pyproj.exceptions import ProjError
@@ -137,7 +136,7 @@ def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
     normals = unit_normals(*mapping.lonlat(rowcol[:, 0], rowcol[:, 1]))
     if not np.all(np.isfinite(normals)):
         return MapError(np.inf, np.inf, np.inf)
-    found, back = _both_ways(grid, jnp.asarray(normals), jnp.asarray(rowcol))
+    found, back = _both_ways(grid, *jax.device_put((normals, rowcol)))
     off = np.asarray(found) - rowcol
     if mapping.crs.is_geographic:  # columns beyond 360 deg coincide with others
         off = off - mapping.turn() * np.round(off @ mapping.turn() / np.sum(mapping.turn() ** 2))[:, None]

@@ -17,7 +17,6 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pyproj
 from pydantic import ValidationError
@@ -216,8 +215,8 @@ def _mount(table: MountTable, kind: str) -> Mount:
     )
     return make(
         R_body_from_base=R_body_from_base,
-        lever_body=jnp.asarray(table.lever_body_m),
-        lever_head=jnp.asarray(table.lever_head_m),
+        lever_body=np.array(table.lever_body_m, np.float64),
+        lever_head=np.array(table.lever_head_m, np.float64),
     )
 
 

@@ -302,7 +302,7 @@ def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> Axes:
 def plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     """(east, north) in m about the centre, accurate enough for slopes."""
     lat, lon = np.asarray(position.lat), np.asarray(position.lon)
-    M, N = (float(radius[0]) for radius in radii_of_curvature(lat.mean(keepdims=True).ravel()))
+    M, N = (float(np.asarray(radius)[0]) for radius in radii_of_curvature(lat.mean(keepdims=True).ravel()))
     return N * np.cos(lat) * (lon - lon.mean()), M * (lat - lat.mean())
 
 

@@ -16,7 +16,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.located import axis_of, take_rows, terrain_at
 from jaxgeo.io.observations import Observations
 from jaxgeo.sensor import Sensor, Shot
-from jaxgeo.status import counts_as_fix
+from jaxgeo.status import have_fix
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import Accuracy, accuracy
 
@@ -139,7 +139,7 @@ class ReportData:
     @property
     def is_fix(self) -> np.ndarray:
         """Mask (n,) of pixels whose fix is known to be the first intersection with the terrain."""
-        return np.asarray(counts_as_fix(jnp.asarray(self.fixes.status)))
+        return have_fix(self.fixes.status)
 
     @property
     def has_place(self) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int8, Num
 
-from jaxgeo._checks import as_float64, check_finite, concrete
+from jaxgeo._checks import as_float64, by_numpy_if_known, check_finite, concrete
 from jaxgeo._numerics import safe_angle, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
@@ -122,13 +122,12 @@ class FrameCamera(AbstractCamera):
         focal_length, pitch, offset = as_float64(
             (focal_length, _array(pixel_pitch), _array(principal_point)), "FrameCamera.from_metric"
         )
-        focal_px = jnp.broadcast_to(focal_length / pitch, (2,))
+        centre = _centre(check_size(width, "width"), check_size(height, "height"))
+        focal_px, principal_px = by_numpy_if_known(
+            lambda _, focal, pitch, offset: (focal / pitch, centre + offset / pitch), focal_length, pitch, offset
+        )
         return cls.from_pixels(
-            focal_px=focal_px,
-            width=width,
-            height=height,
-            principal_px=_centre(check_size(width, "width"), check_size(height, "height")) + offset / pitch,
-            distortion=distortion,
+            focal_px=focal_px, width=width, height=height, principal_px=principal_px, distortion=distortion
         )
 
     @classmethod
@@ -158,7 +157,8 @@ class FrameCamera(AbstractCamera):
         check_finite(centre, "principal_px", "pixels")
         distortion = NoDistortion() if distortion is None else distortion
         focal, centre, distortion = as_float64((_array(focal_px), centre, distortion), "FrameCamera.from_pixels")
-        return cls(jnp.broadcast_to(focal, (2,)), centre, distortion, width, height)
+        focal = by_numpy_if_known(lambda xp, focal: xp.broadcast_to(focal, (2,)), focal)
+        return cls(focal, centre, distortion, width, height)
 
     def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
         camera, uv = as_float64((self, uv), "camera.ray(uv)")

@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
-from jaxgeo._checks import as_float64, check_finite
+from jaxgeo._checks import as_float64, by_numpy_if_known, check_finite
 from jaxgeo._elementary import sine_and_cosine
 from jaxgeo._numerics import matmul3, within
 from jaxgeo._record import Record
@@ -153,7 +153,7 @@ class Gimbal(Record):
         values = as_float64([readings[name] for name in self.names], "readings_from_degrees")
         if not values:
             return jnp.zeros(0)
-        return jnp.deg2rad(jnp.stack(jnp.broadcast_arrays(*values), axis=-1))
+        return by_numpy_if_known(lambda xp, values: xp.deg2rad(xp.stack(xp.broadcast_arrays(*values), axis=-1)), values)
 
     def angles(self, readings: ReadingsLike) -> Readings:
         """Axis angles in rad: sign * gain * (reading - offset)."""

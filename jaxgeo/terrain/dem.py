@@ -103,17 +103,12 @@ class Dem(AbstractTerrain):
         pyramid = build_pyramid(frozen, unknown, ceiling=top, lowest=lowest, highest=highest, xp=xp)
         del unknown
         void = handed_over(np.logical_not(known, out=known)) if is_known_now else ~known
-        return cls(
-            posts=copied(posts),
-            void=void,
-            grid=grid,
-            extent=jnp.stack([jnp.asarray(rows, jnp.int32), jnp.asarray(cols, jnp.int32)]),
-            lowest=jax.lax.stop_gradient(jnp.asarray(lowest, jnp.float64)),
-            highest=jax.lax.stop_gradient(jnp.asarray(highest, jnp.float64)),
-            void_ceiling=jax.lax.stop_gradient(jnp.asarray(ceiling, jnp.float64)),
-            has_void=jnp.asarray(has_void),
-            pyramid=pyramid,
-        )
+        size = xp.stack([xp.asarray(rows, np.int32), xp.asarray(cols, np.int32)])
+        limits = tuple(xp.asarray(height, np.float64) for height in (lowest, highest, ceiling))
+        of_all = size, *limits, xp.asarray(has_void)
+        of_all = jax.device_put(of_all) if is_known_now else jax.lax.stop_gradient(of_all)
+        extent, lowest, highest, ceiling, has_void = of_all
+        return cls(copied(posts), void, grid, extent, lowest, highest, ceiling, has_void, pyramid)
 
     def with_posts(self, posts: ArrayLike) -> Dem:
         """The same terrain with other heights (rows, cols) in m; keeps voids, a given void ceiling and the field."""

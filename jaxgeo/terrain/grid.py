@@ -15,6 +15,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
@@ -276,4 +277,4 @@ def _centred(affine: Sequence[float | int], shape: tuple[int, int], unit: float)
     row, col = (shape[0] - 1) / 2.0, (shape[1] - 1) / 2.0
     position = (c + a * col + b * row) * unit, (f + d * col + e * row) * unit
     step = [[b * unit, a * unit], [e * unit, d * unit]]
-    return jnp.array([row, col]), jnp.array(position), jnp.array(step)
+    return jax.device_put((np.array([row, col]), np.array(position), np.array(step)))

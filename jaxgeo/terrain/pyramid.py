@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt16
@@ -111,7 +112,8 @@ def build_pyramid(
         return xp.maximum(stored[:, :-1], stored[:, 1:])
 
     stored = handed_over(_in_place(tops, shape)) if xp is np else _all_at_once(tops(0, shape[0]), shape)
-    return Pyramid(stored, jnp.asarray(base), jnp.asarray(step), shape)
+    base, step = jax.device_put((base, step)) if xp is np else (base, step)
+    return Pyramid(stored, base, step, shape)
 
 
 def _all_at_once(finest: Array, shape: tuple[int, int]) -> Array:

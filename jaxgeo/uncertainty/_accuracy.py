@@ -134,8 +134,9 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     else:
         errors_of = (linear.circular_error, linear.linear_error, linear.spherical_error)
         radii = _scaled(tuple(error_of(level) for error_of in errors_of), profile, nominal, cov, level)
-    circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
-    more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
+    circular, vertical, spherical = jax.device_put(radii)
+    code, cov, bias, failed = jax.device_put((int(method), cov, bias, failed))
+    more = (code, cov, bias, failed, diagnostics, sampling.count)
     return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, profile, model.left_out)
 
 

@@ -10,10 +10,11 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxgeo._checks import check_is
+from jaxgeo._checks import by_numpy_if_known, check_is
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Scalar, Vector3
@@ -249,7 +250,7 @@ def budget(propagation: Propagation | Accuracy, probability: ArrayLike | None = 
     covs, others, bias = jax.device_get((*_causes(linear), linear.bias_enu))
     without = [float(circular_error(cov[:2, :2], probability, bias[:2])) for cov in others]
     error, slopes = error_and_slopes(linear, sigmas_of(linear.model), probability)
-    radius, note = float(error), propagation.note
+    radius, slopes, note = float(error), np.asarray(slopes), propagation.note
     if stated is not None:
         radius, times = float(stated.circular), float(stated.circular) / radius if radius > 0.0 else 1.0
         if int(stated.method) == Method.samples:
@@ -314,7 +315,7 @@ def _variance(cov_enu: Any) -> Variance:
 
 def sigmas_of(model: ErrorModel) -> Sigmas:
     """Standard deviations of all sources, concatenated."""
-    return jnp.concatenate([jnp.asarray(source.sigma) for source in model.sources])
+    return by_numpy_if_known(lambda xp, all: xp.concatenate(all), [jnp.asarray(one.sigma) for one in model.sources])
 
 
 def with_sigmas(model: ErrorModel, sigma: Sigmas) -> ErrorModel:

@@ -226,5 +226,5 @@ def batch_of(
     circular, linear, spherical, failed = radii_and_failed
     levels = np.full(method.shape, probability)
     flat = (fix, levels, circular, linear, spherical, method, cov_enu, bias_enu, failed, diagnostics)
-    arrays: Any = jax.tree.map(lambda leaf: jnp.asarray(np.reshape(leaf, shape + np.shape(leaf)[1:])), flat)
+    arrays: Any = jax.device_put(jax.tree.map(lambda leaf: np.reshape(leaf, shape + np.shape(leaf)[1:]), flat))
     return Accuracy(*arrays, count=count, note=note)

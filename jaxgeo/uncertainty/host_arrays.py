@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 import jax
 import jax.core
-import jax.numpy as jnp
 import numpy as np
 
 T = TypeVar("T")
@@ -50,7 +49,7 @@ def scatter(values: T, index: np.ndarray, count: int) -> T:
 
 
 def _entries(leaf: Any, index: Any) -> Any:
-    return leaf[index] if isinstance(leaf, jax.core.Tracer) else jnp.asarray(np.asarray(leaf)[index])
+    return leaf[index] if isinstance(leaf, jax.core.Tracer) else jax.device_put(np.asarray(leaf)[index])
 
 
 def with_bar(items: Iterable[Any], count: int, words: str, progress: bool) -> Iterable[Any]:

@@ -204,7 +204,7 @@ class Derivatives(NamedTuple):
 
     def propagation(self, nominal: NominalFix, found: OverSlope) -> Propagation:
         """The record of a result of all axes of `shared`."""
-        jacobian = jnp.asarray(np.asarray(found.jacobian)[:, : self.model.size])
+        jacobian = jax.device_put(np.asarray(found.jacobian)[:, : self.model.size])
         return propagation_of(nominal, self.model, self.cov_error, found._replace(jacobian=jacobian))
 
 

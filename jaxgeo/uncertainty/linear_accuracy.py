@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import one_program
 from jaxgeo._numerics import safe_sqrt
-from jaxgeo._typing import Index, IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
+from jaxgeo._typing import Index, IndexField, Indices, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
 from jaxgeo.uncertainty.method_selection import (
     AGREEMENT,
@@ -73,15 +74,21 @@ def method_of(found: Diagnosed) -> Index:
 def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:
     """Circular, linear and spherical error of one or many fixes, of the probability that their factors are for; NaN
     where linear propagation is not valid."""
-    is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
     cov, bias = one.cov_enu, one.bias_enu
     radii = (
         circular_radius(cov, probability, bias),
         linear_radius(cov, probability, bias),
         spherical_radius(cov, probability, bias),
     )
-    circular, linear, spherical = over_profile(radii, one.factors)
-    circular, linear, spherical = (jnp.where(is_linear, radius, jnp.nan) for radius in (circular, linear, spherical))
+    return _valid_over_profile(one.method, radii, one.factors)
+
+
+@one_program
+def _valid_over_profile(
+    method: Indices, radii: tuple[Numbers, Numbers, Numbers], factors: Float[Array, "... 2"]
+) -> tuple[Numbers, Numbers, Numbers]:
+    is_linear = (method == Method.facet) | (method == Method.footprint)
+    circular, linear, spherical = (jnp.where(is_linear, one, jnp.nan) for one in over_profile(radii, factors))
     return circular, linear, spherical
 
 

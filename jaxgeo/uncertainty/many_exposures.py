@@ -12,7 +12,7 @@ from jaxgeo._accelerator import by_device
 from jaxgeo._checks import as_array, as_float64, is_known
 from jaxgeo._compile import batch_filter_jit, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
-from jaxgeo.status import counts_as_fix
+from jaxgeo.status import have_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
@@ -136,7 +136,7 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
     """The same of one exposure, by the programs of a call of `accuracy` for it."""
     inputs, model = inputs_of(given)
     nominal = inputs.nominal_fix(request.search)
-    if not bool(counts_as_fix(jnp.asarray(nominal.fix.status))):
+    if not have_fix(nominal.fix.status):
         unknown = jnp.asarray(np.nan)
         diagnostics = Diagnostics(*[unknown] * len(Diagnostics._fields))
         cov, bias = (jnp.asarray(np.full(shape, np.nan)) for shape in ((3, 3), 3))

@@ -6,10 +6,11 @@ import enum
 import math
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._checks import is_known
+from jaxgeo._checks import by_numpy_if_known, is_known
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
@@ -130,8 +131,8 @@ def _examine(
 
 
 def _diagnostics(found: _Examined) -> Diagnostics:
-    facet, footprint = (x for x in circular_radius(found.cov_enu, LEVEL, found.bias_enu))
-    facet_up, footprint_up = (x for x in linear_radius(found.cov_enu, LEVEL, found.bias_enu))
+    radii = (radius(found.cov_enu, LEVEL, found.bias_enu) for radius in (circular_radius, linear_radius))
+    (facet, footprint), (facet_up, footprint_up) = (by_numpy_if_known(lambda _, x: (x[0], x[1]), x) for x in radii)
     profile, profile_up = found.over_profile
     return Diagnostics(
         facet,
@@ -203,7 +204,7 @@ def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
 
 def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     """Why this method was selected and no cheaper one, with the deciding figures."""
-    if method is Method.facet and bool(_is_exact(diagnostics)):
+    if method is Method.facet and bool(_is_exact(jax.device_get(diagnostics))):
         return "No error moves the fix: it is as exact as its input."
     jumps, fails = 100.0 * float(diagnostics.jumps), 100.0 * float(diagnostics.fails)
     circular = _against_profile("CE90", diagnostics.facet, diagnostics.footprint, diagnostics.profile)

@@ -27,7 +27,7 @@ from jaxgeo.observation import Exposure
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.sensor.platform import Pose, Station
-from jaxgeo.status import Status, counts_as_fix, seen_beside
+from jaxgeo.status import Status, have_fix, seen_beside
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.polish import polish
 
@@ -96,9 +96,8 @@ class NominalFix(NamedTuple):
 
     def require_fix(self) -> None:
         """Raise `ValueError` unless there is a fix on the first ground met; not for traced input."""
-        code = jnp.asarray(self.fix.status)
-        if not bool(counts_as_fix(code)):
-            status = Status(int(code))
+        if not have_fix(self.fix.status):
+            status = Status(int(self.fix.status))
             raise ValueError(f"cannot estimate accuracy, there is no fix: {status.name}: {status.message}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -22,20 +22,20 @@ def circular_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numb
     cov, bias = _at_hand(cov_enu, bias_enu)
     cov, bias = cov[..., :2, :2], bias[..., :2]
     found = host_radii(cov, probability, bias)
-    return _circular_error(cov, probability, bias) if found is None else jnp.asarray(found)
+    return _circular_error(cov, probability, bias) if found is None else jax.device_put(found)
 
 
 def linear_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numbers:
     """`linear_error` of the third component of a covariance (..., 3, 3) and a bias (..., 3); NaN if invalid."""
     cov, bias = _at_hand(cov_enu, bias_enu)
     found = host_radii(cov[..., 2:, 2:], probability, bias[..., 2:])
-    return _linear_error(cov[..., 2, 2], probability, bias[..., 2]) if found is None else jnp.asarray(found)
+    return _linear_error(cov[..., 2, 2], probability, bias[..., 2]) if found is None else jax.device_put(found)
 
 
 def spherical_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numbers:
     """`spherical_error` of a covariance (..., 3, 3) and a bias (..., 3); NaN if they are invalid."""
     found = host_radii(cov_enu, probability, bias_enu)
-    return _spherical_error(cov_enu, probability, bias_enu) if found is None else jnp.asarray(found)
+    return _spherical_error(cov_enu, probability, bias_enu) if found is None else jax.device_put(found)
 
 
 def _at_hand(cov: Any, bias: Any) -> tuple[Any, Any]:

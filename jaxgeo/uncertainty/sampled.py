@@ -185,7 +185,7 @@ class Sampler(NamedTuple):
         options = self.options
         tally = _Tally(first, count, options.scrambles, wanted, self.size)
         parts = chunks(first, count, self.size, options.progress)
-        for start, number, drawn in one_ahead(self.plan, parts, jnp.asarray(centre), self.size, wanted.keep):
+        for start, number, drawn in one_ahead(self.plan, parts, jax.device_put(centre), self.size, wanted.keep):
             tally.add(start, number, drawn)
             if half_width is not None and tally.is_sharp(half_width, options.confidence):
                 break

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxgeo._checks import concrete
+from jaxgeo._compile import one_program
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
@@ -40,8 +41,12 @@ def error_ellipse(cov: Any, probability: Any = None) -> ErrorEllipse:
     With a `probability`, the ellipse about the mean that contains it: sqrt(-2 ln(1 - p)) times as large. The azimuth of
     a circular error is arbitrary and has no derivative. Raises as `circular_error` does.
     """
-    cov = covariance(cov, 2)
-    scale = 1.0 if probability is None else jnp.sqrt(-2.0 * jnp.log1p(-check_probability(probability)))
+    return _ellipse(covariance(cov, 2), None if probability is None else check_probability(probability))
+
+
+@one_program
+def _ellipse(cov: Numbers, probability: Numbers | None) -> ErrorEllipse:
+    scale = 1.0 if probability is None else jnp.sqrt(-2.0 * jnp.log1p(-probability))
     variances, axes = jnp.vectorize(eigen, signature="(d,d)->(d),(d,d)")(cov)
     azimuth = jnp.mod(jnp.arctan2(axes[..., 0, 0], axes[..., 0, 1]), jnp.pi)
     major, minor = (jnp.asarray(scale * safe_sqrt(variances[..., k])) for k in (0, 1))

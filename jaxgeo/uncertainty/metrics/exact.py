@@ -112,7 +112,7 @@ def _radius(cov: Any, probability: Any, bias: Any, d: int) -> Numbers:
             f"probability must be at most 1 - 1e-10, up to which a radius has digits; got 1 - {1.0 - known.max():.3g}."
         )
     found = host_radii(cov, level, bias)
-    return _radii(cov, level, bias) if found is None else jnp.asarray(found)
+    return _radii(cov, level, bias) if found is None else jax.device_put(found)
 
 
 def _chance(cov: Any, radius: Any, bias: Any, d: int) -> Numbers:

@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
-from jaxgeo._checks import as_array, as_float64, check_finite, concrete, require_x64
+from jaxgeo._checks import as_array, as_float64, by_numpy_if_known, check_finite, concrete, require_x64
 from jaxgeo._record import Record
 from jaxgeo.uncertainty.copula import Shape, normal_correlation
 from jaxgeo.uncertainty.datasheet import Stated
@@ -144,8 +144,12 @@ def sigmas(*values: ArrayLike, degrees: bool = False) -> Array:
     """Standard deviations as one vector, converted from degrees if `degrees` is set."""
     require_x64()
     parts: Any = as_float64(list(values), "sigma")
-    stacked = jnp.stack([jnp.asarray(part) for part in parts])
-    return jnp.deg2rad(stacked) if degrees else stacked
+
+    def together(xp: Any, parts: list[Any]) -> Any:
+        stacked = xp.stack([xp.asarray(part) for part in parts])
+        return xp.deg2rad(stacked) if degrees else stacked
+
+    return by_numpy_if_known(together, parts)
 
 
 Axis: TypeAlias = ArrayLike | Stated  # standard deviation of an axis

@@ -15,7 +15,7 @@ from jaxgeo._checks import as_array, as_float64, concrete, is_known
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
-from jaxgeo.status import counts_as_fix
+from jaxgeo.status import have_fix
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sharing import AbstractSharing, Systematic
@@ -76,7 +76,7 @@ class TerrainHeightRaster(AbstractSource):
         )
 
     def check_at(self, nominal: NominalFix) -> None:
-        if not is_known((self.posts, self.grid, nominal)) or not bool(counts_as_fix(jnp.asarray(nominal.fix.status))):
+        if not is_known((self.posts, self.grid, nominal)) or not have_fix(nominal.fix.status):
             return
         if np.isnan(float(_sigma_at(self.posts, self.grid, nominal.p_ecef))):
             lat, lon, _ = (float(x) for x in nominal.fix.position.to_degrees())
