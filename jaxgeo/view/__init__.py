@@ -11,7 +11,7 @@ except ImportError as error:
 
 from jaxgeo.view.data import ViewData
 from jaxgeo.view.images import ViewImage, images_of
-from jaxgeo.view.server import ViewServer, serve
+from jaxgeo.view.server import NoGround, ViewServer, serve
 from jaxgeo.view.site import check_tiles
 
-__all__ = ["ViewData", "ViewImage", "ViewServer", "check_tiles", "images_of", "serve"]
+__all__ = ["NoGround", "ViewData", "ViewImage", "ViewServer", "check_tiles", "images_of", "serve"]

@@ -40,12 +40,9 @@ NO_HEIGHT = "The elevation model has no height at this place."
 
 
 class Ellipse(NamedTuple):
-    """An error ellipse at the probability of the accuracy, or the circle of samples: (n, 2) latitudes and longitudes in
-    deg, its semi-axes in m, and what it is."""
+    """An error ellipse, or the circle of samples: (n, 2) latitudes and longitudes in deg, and what it is."""
 
     ring: np.ndarray
-    major: float
-    minor: float
     what: str
 
 
@@ -250,8 +247,7 @@ class ViewData:
             return answer
         rad = np.deg2rad(ellipse.ring)
         _, uv, _ = self._projected(np.full(len(rad), image), rad[:, 0], rad[:, 1])
-        size = f"{words.length(ellipse.major)} by {words.length(ellipse.minor)}"
-        return answer | {"ellipse": ellipse.ring, "ellipse_uv": uv, "ellipse_text": f"{ellipse.what}, semi-axes {size}"}
+        return answer | {"ellipse": ellipse.ring, "ellipse_uv": uv, "ellipse_text": ellipse.what}
 
 
 def ellipse_of(fix: Any, found: Accuracy, probability: float) -> Ellipse | None:
@@ -261,10 +257,10 @@ def ellipse_of(fix: Any, found: Accuracy, probability: float) -> Ellipse | None:
     if np.isfinite(cov).all():
         one = error_ellipse(cov[:2, :2], probability)
         major, minor, azimuth = (float(x) for x in (one.major, one.minor, one.azimuth))
-        what = f"{level} error ellipse by linear propagation"
+        what = f"{level} error ellipse with semi-axes of {words.length(major)} and {words.length(minor)}"
     else:
         major = minor = float(np.asarray(found.circular)[0])
-        azimuth, bias, what = 0.0, np.zeros(3), f"{level} error circle by samples"
+        azimuth, bias, what = 0.0, np.zeros(3), f"{level} circle of samples; an ellipse would be wrong here"
     if not math.isfinite(major):
         return None
     turn = np.linspace(0.0, 2.0 * np.pi, RING, endpoint=False)
@@ -275,7 +271,7 @@ def ellipse_of(fix: Any, found: Accuracy, probability: float) -> Ellipse | None:
     across = float(WGS84.prime_vertical_radius(jnp.asarray(lat))) + height
     up = float(WGS84.meridian_radius(jnp.asarray(lat))) + height
     ring = np.column_stack([lat + north / up, lon + east / (across * max(math.cos(lat), 1e-9))])
-    return Ellipse(np.rad2deg(ring), major, minor, what)
+    return Ellipse(np.rad2deg(ring), what)
 
 
 def _at(batch: ObservationBatch, index: np.ndarray, uv: np.ndarray) -> ObservationBatch:

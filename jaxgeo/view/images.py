@@ -25,7 +25,7 @@ QUALITY = 85
 class ViewImage(NamedTuple):
     """An image: `index` of its exposure in a batch, its `rows` in the observations, its camera's size and position.
 
-    `height_m` is above the ellipsoid.
+    `pixels` are those of the rows; `height_m` is above the ellipsoid.
     """
 
     name: str
@@ -37,6 +37,7 @@ class ViewImage(NamedTuple):
     lat_deg: float
     lon_deg: float
     height_m: float
+    pixels: tuple[tuple[float, float], ...]
 
 
 def images_of(observed: Observations) -> list[ViewImage]:
@@ -60,7 +61,10 @@ def _image(observed: Observations, number: int, name: str, pairs: Sequence[tuple
     rows = tuple(row for row, _ in pairs)
     shown = name or (f"row {rows[0]}" if len(observed) > 1 else pathlib.Path(observed.source).name)
     size = int(batch.camera.width), int(batch.camera.height)
-    return ViewImage(shown, number, index, rows, *size, float(np.rad2deg(lat)), float(np.rad2deg(lon)), height)
+    uv = np.asarray(batch.observation.uv, np.float64)
+    pixels = tuple((float(uv[k, 0]), float(uv[k, 1])) for _, k in pairs)
+    place = float(np.rad2deg(lat)), float(np.rad2deg(lon)), height
+    return ViewImage(shown, number, index, rows, *size, *place, pixels)
 
 
 class Pictures:

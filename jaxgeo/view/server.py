@@ -12,6 +12,8 @@ import urllib.parse
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from jaxgeo.io.observations import Observations
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.view.data import ViewData
@@ -22,7 +24,10 @@ LOOPBACK = "127.0.0.1"
 HOSTS = {LOOPBACK, "localhost"}  # names by which the server may be addressed
 LONGEST = 4096  # characters of a path with its query
 LINGER = 2.0  # s for which an open page can still ask why the command ended
-NOT_GROUND = "no pixel at the edges of the images sees the elevation model"
+
+
+class NoGround(ValueError):
+    """No image sees the ground."""
 
 
 class ViewServer:
@@ -47,23 +52,27 @@ class ViewServer:
         """The address of the page."""
         return f"http://{LOOPBACK}:{self._server.server_port}/"
 
-    def show_images(self, observed: Observations, files: Sequence[pathlib.Path | None] = ()) -> None:
-        """Show the images, before their ground is read."""
-        images = images_of(observed)
+    def show_images(
+        self, observed: Observations, files: Sequence[pathlib.Path | None] = (), *, marks: bool = False
+    ) -> None:
+        """Show the images, before their ground is read; with `marks` also the pixels of the observations."""
+        images, self.site.has_marks = images_of(observed), marks
         self.site.pictures = Pictures(images, files or [None] * len(images))
         self.site.images = images
 
     def show(self, data: ViewData, *, notes: Sequence[str] = ()) -> None:
         """Show images on their ground, and compile what answers need, which may take a minute the first time.
 
-        `notes` are sentences shown on the page, such as assumptions. Raises `ValueError` if no image sees the ground.
+        `notes` are sentences shown on the page, such as assumptions. Raises `NoGround` if no image sees the ground.
         """
         site = self.site
         site.doing = "locating the edges of the images"
         site.images, site.pictures, site.notes = data.images, data.pictures, [*notes]
         outlines = data.outlines()
-        if not any((one == one).all(axis=1).any() for one in outlines):
-            raise ValueError(f"{NOT_GROUND}.")
+        if not any(np.isfinite(one).all(axis=1).any() for one in outlines):
+            first = data.images[0]
+            middle = data.locate(0, 0.5 * (first.width - 1), 0.5 * (first.height - 1), accuracy=False)
+            raise NoGround(f"no image sees the ground. {first.name}, its middle: {middle['status_text']}")
         site.doing = "drawing the relief"
         box = data.box(outlines)
         relief = data.relief(box)
@@ -108,7 +117,7 @@ def serve(
 
     `grounds` is one terrain for all, or one for each batch; `files` has the image file of each image, in the order of
     `images_of(observed)`. `accuracy`, by default whether the observations have error sources. Raises as `ViewServer`,
-    and `ValueError` if no image sees the ground.
+    and `NoGround`, a `ValueError`, if no image sees the ground.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image

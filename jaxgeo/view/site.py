@@ -49,7 +49,8 @@ class Site:
     """The state of a viewer, from its start until all is computed; safe for threads.
 
     `doing` is what is being prepared, `error` why the command ended. `images` are known before the `data` with the
-    ground; `outlines` when they are located, and `is_warm` once everything is compiled.
+    ground; `outlines` when they are located, and `is_warm` once everything is compiled. The pixels of the observations
+    are marked if `has_marks`.
     """
 
     title: str = "jaxgeo"
@@ -63,6 +64,7 @@ class Site:
     box: Box | None = None
     between: tuple[float, float] | None = None
     notes: list[str] = dataclasses.field(default_factory=list)
+    has_marks: bool = False
     is_warm: bool = False
     ready: threading.Event = dataclasses.field(default_factory=threading.Event)
     polled: float = -math.inf  # time.monotonic() of the last request for the state
@@ -113,7 +115,9 @@ class Site:
         names = ("name", "width", "height", "lat_deg", "lon_deg", "height_m")
         reason = (lambda i: None) if self.pictures is None else self.pictures.reason
         images = [
-            {name: getattr(one, name) for name in names} | {"reason": reason(i)} for i, one in enumerate(self.images)
+            {name: getattr(one, name) for name in names}
+            | {"reason": reason(i), "marks": one.pixels if self.has_marks else []}
+            for i, one in enumerate(self.images)
         ]
         content = {"title": self.title, "images": images, "tiles": self.tiles, "notes": self.notes}
         return _json(content | {"edition": self.edition})

@@ -330,7 +330,11 @@
       }
       this.graticule(c);
       const of = shown.outlines, one = shown.images[shown.image];
-      of.forEach((ring, i) => { if (i !== shown.image) { c.globalAlpha = of.length > 60 ? 0.3 : 0.55; this.stroke(c, ring, true, 1, colours.edge, 0); c.globalAlpha = 1; } });
+      of.forEach((ring, i) => {
+        if (i === shown.image) return;
+        if (of.length <= 60) this.stroke(c, ring, true, 1, colours.edge, 1.6);
+        else { c.globalAlpha = 0.35; this.stroke(c, ring, true, 1, colours.edge, 0); c.globalAlpha = 1; }
+      });
       const small = of.length > 60 ? 2.5 : 4;
       shown.cameras.forEach((at, i) => { if (i !== shown.image) { const [px, py] = this.toScreen(...at); c.beginPath(); c.arc(px, py, small, 0, 7); c.fillStyle = colours.sight; c.fill(); c.lineWidth = 1; c.strokeStyle = colours.halo; c.stroke(); } });
       if (of[shown.image]) this.stroke(c, of[shown.image], true, 2.2, colours.edge, 3);
@@ -514,8 +518,7 @@
       const fix = await get("api/locate?image=" + number + "&u=" + seen.u + "&v=" + seen.v, stop);
       Object.assign(shown.point, { ellipse: fix.ellipse, ellipse_uv: fix.ellipse_uv, ce: fix.circular_m ?? null });
       const size = extent(fix.ellipse_uv);
-      show({ ...place, fix, sentence: (fix.ellipse_text ? fix.ellipse_text : "") + (size ? "; in the image it spans " + size + "." : "") });
-      showSeen(seen);
+      show({ ...place, fix, sentence: fix.ellipse_text + (size ? "; in the image it spans " + size + "." : ".") });
       text("spoken", "Column " + seen.u.toFixed(1) + ", row " + seen.v.toFixed(1) + spokenAccuracy(fix));
     } catch (error) { complain(error); }
   }
@@ -531,7 +534,8 @@
     text("spoken", fix.is_fix ? asked + " is at " + fix.lat_text + ", " + fix.lon_text + ", " + fix.height_text + spokenAccuracy(fix) : asked + ": no fix. " + fix.status_text);
   }
   function keepInView(stage, at) {
-    if (at) {
+    const [left, top, right, bottom] = stage.whole;
+    if (at && (stage === map || (at[0] >= left && at[0] <= right && at[1] >= top && at[1] <= bottom))) {
       const [px, py] = stage.toScreen(...at);
       if (px < 8 || py < 8 || px > stage.width - 8 || py > stage.height - 8) [stage.x, stage.y] = at;
     }
@@ -545,7 +549,7 @@
   function show(answer) {
     const badge = byId("badge"), fix = answer.fix || {};
     text("asked", answer.asked || "");
-    badge.hidden = !answer.label;
+    badge.hidden = !answer.label || answer.label === answer.headline;
     badge.textContent = answer.label || "";
     badge.classList.toggle("bad", Boolean(answer.isBad));
     spans(byId("headline"), answer.headline || "–");
@@ -562,7 +566,8 @@
     text("because", answer.isBad ? "" : fix.accuracy_text || (answer.isWaiting && !isUnsure ? "Estimating the accuracy …" : answer.fix && isUnsure ? "The accuracy is unknown: no standard deviations are stated. Give --position-sigma, --attitude-sigma or --gimbal-sigma." : ""));
     const has = Boolean(shown.point && shown.point.lat !== null && shown.point.is_fix);
     for (const id of ["keep", "copy", "to-fix"]) byId(id).disabled = !has;
-    byId("seen-block").hidden = true;
+    byId("acts").hidden = Boolean(answer.isBad);
+    if (!answer.fix || answer.isBad) byId("seen-block").hidden = true;
     image.draw();
     map.draw();
   }
@@ -647,7 +652,7 @@
   }
 
   // Preparing.
-  let isReady = false;
+  let isReady = false, hasBegun = false;
   async function prepare() {
     const words = byId("state-text"), block = byId("state");
     for (;;) {
@@ -658,6 +663,7 @@
       if (state.has_map && !shown.map) await showMap();
       isReady = state.is_ready;
       words.textContent = state.is_warm ? "Ready" : "Preparing: " + state.doing;
+      if (isReady && !hasBegun && (hasBegun = true) && !shown.point && shown.images[shown.image].marks.length) askPixel(...shown.images[shown.image].marks[0]);
       if (state.is_warm) { block.className = "done"; document.documentElement.dataset.ready = "yes"; return; }
       await new Promise((later) => setTimeout(later, 300));
     }
@@ -726,6 +732,7 @@
     const half = Math.max(15, ...ring.map((at) => 2.5 * Math.hypot(at[0] - x, at[1] - y)));
     map.show(x - half, y - half, x + half, y + half);
   });
+  byId("because").addEventListener("click", (event) => event.target.classList.toggle("whole"));
   byId("keep").addEventListener("click", keep);
   byId("copy").addEventListener("click", async () => {
     const point = shown.point, words = point.lat.toFixed(7) + ", " + point.lon.toFixed(7);
