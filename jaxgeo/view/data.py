@@ -33,7 +33,7 @@ from jaxgeo.view.images import Pictures, ViewImage, images_of
 MANY = CHUNKS[-1]  # pixels located at a time
 LANES = (64, 1024)  # pixels projected at a time
 RING = 48  # vertices of an error ellipse
-POINTS, MOST_OUTLINES = 20, 40_000  # points of an outline per side of the image; points of all outlines
+POINTS, MOST_OUTLINES = 20, 16_000  # points of an outline per side of the image; points of all outlines
 ACROSS = 1400  # columns of a relief
 LEAST = 60.0  # m, least extent of the map
 NO_HEIGHT = "The elevation model has no height at this place."
@@ -89,7 +89,7 @@ class ViewData:
         fix, found = both if both is not None else (self._located(observed.batches[0], ground), None)
         (row,) = rows_of(fix, figures_of("view", fix, found, None, None, None), None)
         answer: dict[str, Any] = {"image": image, "u": u, "v": v, **_plain(row)}
-        answer |= self._texts(row, int(np.asarray(fix.status)[0]))
+        answer |= _texts(row, int(np.asarray(fix.status)[0]), bool(_count(fix)[0]))
         if found is not None:
             answer |= self._accuracy(image, fix, found, row)
         return answer
@@ -218,22 +218,6 @@ class ViewData:
                 height[part], uv[part], status[part] = map(np.asarray, seen)
         return height, uv, status
 
-    def _texts(self, row: dict[str, Any], code: int) -> dict[str, Any]:
-        """Texts of a fix, as in reports."""
-        label, sentence = words.status(code)
-        answer: dict[str, Any] = {"label": label, "status_text": sentence, "is_fix": bool(counts_as_fix(code))}
-        if row["fix_lat_deg"] is None or not math.isfinite(row["fix_lat_deg"]):
-            return answer
-        lat, lon = row["fix_lat_deg"], row["fix_lon_deg"]
-        return answer | {
-            "lat_text": words.coordinate(lat, "N", "S"),
-            "lon_text": words.coordinate(lon, "E", "W"),
-            "height_text": f"{words.metres(row['fix_height_m'])} m above the WGS 84 ellipsoid",
-            "msl_text": f"{words.metres(row['fix_height_msl_m'])} m above mean sea level (EGM96)",
-            "range_text": words.length(row["slant_range_m"]),
-            "incidence_text": f"{words.number(row['incidence_surface_deg'])}°",
-        }
-
     def _accuracy(self, image: int, fix: Any, found: Accuracy, row: dict[str, Any]) -> dict[str, Any]:
         circular, linear = (float(np.asarray(x)[0]) for x in (found.circular, found.linear))
         answer: dict[str, Any] = {
@@ -248,6 +232,23 @@ class ViewData:
         rad = np.deg2rad(ellipse.ring)
         _, uv, _ = self._projected(np.full(len(rad), image), rad[:, 0], rad[:, 1])
         return answer | {"ellipse": ellipse.ring, "ellipse_uv": uv, "ellipse_text": ellipse.what}
+
+
+def _texts(row: dict[str, Any], code: int, is_fix: bool) -> dict[str, Any]:
+    """Texts of a fix, as in reports."""
+    label, sentence = words.status(code)
+    answer: dict[str, Any] = {"label": label, "status_text": sentence, "is_fix": is_fix}
+    if row["fix_lat_deg"] is None or not math.isfinite(row["fix_lat_deg"]):
+        return answer
+    lat, lon = row["fix_lat_deg"], row["fix_lon_deg"]
+    return answer | {
+        "lat_text": words.coordinate(lat, "N", "S"),
+        "lon_text": words.coordinate(lon, "E", "W"),
+        "height_text": f"{words.metres(row['fix_height_m'])} m above the WGS 84 ellipsoid",
+        "msl_text": f"{words.metres(row['fix_height_msl_m'])} m above mean sea level (EGM96)",
+        "range_text": words.length(row["slant_range_m"]),
+        "incidence_text": f"{words.number(row['incidence_surface_deg'])}°",
+    }
 
 
 def ellipse_of(fix: Any, found: Accuracy, probability: float) -> Ellipse | None:

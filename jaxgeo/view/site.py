@@ -28,7 +28,7 @@ FILES = {
 }
 JSON = "application/json"
 MOST_RELIEFS = 64  # kept pictures of the relief
-PLACES = 9  # decimals of degrees
+PLACES = 7  # decimals of degrees
 
 
 class Answer(NamedTuple):

@@ -333,9 +333,9 @@
       of.forEach((ring, i) => {
         if (i === shown.image) return;
         if (of.length <= 60) this.stroke(c, ring, true, 1, colours.edge, 1.6);
-        else { c.globalAlpha = 0.35; this.stroke(c, ring, true, 1, colours.edge, 0); c.globalAlpha = 1; }
+        else { c.globalAlpha = Math.max(60 / of.length, 0.14); this.stroke(c, ring, true, 1, colours.edge, 0); c.globalAlpha = 1; }
       });
-      const small = of.length > 60 ? 2.5 : 4;
+      const small = of.length > 60 ? 1.8 : 4;
       shown.cameras.forEach((at, i) => { if (i !== shown.image) { const [px, py] = this.toScreen(...at); c.beginPath(); c.arc(px, py, small, 0, 7); c.fillStyle = colours.sight; c.fill(); c.lineWidth = 1; c.strokeStyle = colours.halo; c.stroke(); } });
       if (of[shown.image]) this.stroke(c, of[shown.image], true, 2.2, colours.edge, 3);
       const camera = shown.cameras[shown.image], point = shown.point;
@@ -552,7 +552,8 @@
     badge.hidden = !answer.label || answer.label === answer.headline;
     badge.textContent = answer.label || "";
     badge.classList.toggle("bad", Boolean(answer.isBad));
-    spans(byId("headline"), answer.headline || "–");
+    spans(byId("headline"), answer.headline || "");
+    byId("headline").hidden = !answer.headline;
     spans(byId("more"), answer.more || []);
     text("sentence", answer.sentence || "");
     byId("result").classList.toggle("none", Boolean(answer.isBad));
@@ -566,7 +567,7 @@
     text("because", answer.isBad ? "" : fix.accuracy_text || (answer.isWaiting && !isUnsure ? "Estimating the accuracy …" : answer.fix && isUnsure ? "The accuracy is unknown: no standard deviations are stated. Give --position-sigma, --attitude-sigma or --gimbal-sigma." : ""));
     const has = Boolean(shown.point && shown.point.lat !== null && shown.point.is_fix);
     for (const id of ["keep", "copy", "to-fix"]) byId(id).disabled = !has;
-    byId("acts").hidden = Boolean(answer.isBad);
+    byId("acts").hidden = !shown.point || Boolean(answer.isBad);
     if (!answer.fix || answer.isBad) byId("seen-block").hidden = true;
     image.draw();
     map.draw();
