@@ -1,13 +1,8 @@
 """A local viewer in the browser: the place on the map of a pixel, the pixel that shows a place, and their accuracy.
 
 `serve(observed, grounds)` starts a server on this machine's loopback address, which other machines cannot reach.
-`ViewData` answers the same questions without a server. The command is `jaxgeo view`.
+`ViewData` answers the same questions without a server. The command is `jaxgeo view`. Needs the extra `plot`.
 """
-
-try:
-    import matplotlib  # noqa: F401
-except ImportError as error:
-    raise ImportError("the viewer colours its relief with matplotlib: pip install 'jaxgeo[view]'") from error
 
 from jaxgeo.view.data import ViewData
 from jaxgeo.view.images import ViewImage, images_of
