@@ -38,6 +38,11 @@ class ViewServer:
     `tiles` is the address of web-map tiles, `https://host/{z}/{x}/{y}.png`, that the browser asks for; by default
     none, and the browser asks no other machine for anything. Raises `OSError` if the port is taken, `ValueError` for
     an address without {z}, {x} and {y}.
+
+    >>> from jaxgeo.view import ViewServer
+    >>> with ViewServer(title="Flight 7") as viewer:
+    ...     print(viewer.address.rpartition(":")[0])
+    http://127.0.0.1
     """
 
     def __init__(self, *, port: int = 0, title: str = "jaxgeo", tiles: str | None = None) -> None:
@@ -118,16 +123,6 @@ def serve(
     `grounds` is one terrain for all, or one for each batch; `files` has the image file of each image, in the order of
     `images_of(observed)`. `accuracy`, by default whether the observations have error sources. Raises as `ViewServer`,
     and `NoGround`, a `ValueError`, if no image sees the ground.
-
-    >>> import os, tempfile
-    >>> from jaxgeo.demo import drone_image
-    >>> folder = tempfile.TemporaryDirectory()
-    >>> path = drone_image(os.path.join(folder.name, "a.jpg"), columns=64).path
-    >>> observed = jaxgeo.io.read_observations(path, height_datum="EPSG:5773")
-    >>> with jaxgeo.view.serve(observed, jaxgeo.ConstantHeight(0.0), [path], accuracy=False) as viewer:
-    ...     print(viewer.address.rpartition(":")[0])
-    http://127.0.0.1
-    >>> folder.cleanup()
     """
     each = [grounds] * len(observed.batches) if isinstance(grounds, AbstractTerrain) else list(grounds)
     has_errors = all(batch.sources for batch in observed.batches) if accuracy is None else accuracy
