@@ -7,13 +7,15 @@ import http.client
 import io
 import json
 import pathlib
+import sys
+import urllib.request
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from support.command_files import FILES
+from support.command_files import FILES, SMALL_POSE, SMALL_SCENE
 from typer.testing import CliRunner
 
 import jaxgeo
@@ -143,6 +145,36 @@ def test_a_port_is_taken_by_one(viewer: ViewServer, tmp_path, monkeypatch) -> No
         (told,) = result.stderr.splitlines()
         assert words in told
         assert result.stdout == ""
+
+
+@pytest.mark.costly
+def test_the_command_serves_until_it_is_stopped(tmp_path, monkeypatch) -> None:
+    """What the page gets of a scene with pixels; one JSON object; the image of a scene by --images."""
+    monkeypatch.chdir(tmp_path)
+    pathlib.Path("scene.toml").write_text(SMALL_SCENE.format(**SMALL_POSE))
+    Image.new("L", (128, 96)).save("image.png")
+    asked: list[Any] = []
+
+    def stopped() -> None:
+        address = json.loads(sys.stdout.buffer.getvalue())["address"]  # pyright: ignore[reportAttributeAccessIssue]
+        for path in ("api/scene", "api/map", "api/state", "image?image=0", "api/locate?image=0&u=12&v=24"):
+            with urllib.request.urlopen(address + path, timeout=60.0) as answer:
+                asked.append(answer.read())
+
+    monkeypatch.setattr("jaxgeo.cli.view._wait", stopped)
+    line = "view --scene scene.toml --ground 300 --pixel 12,24 --images image.png --no-browser --json"
+    result = CliRunner().invoke(app, line.split(), prog_name="jaxgeo")
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert (told["command"], told["images"]) == ("view", ["scene.toml"])
+    scene, drawn, state, picture, fix = (one if one[:1] == b"\xff" else json.loads(one) for one in asked)
+    assert scene["images"][0]["marks"] == [[12.0, 24.0]]
+    assert scene["notes"] == told["assumed"]
+    assert (drawn["percent"], drawn["between"], len(drawn["outlines"])) == ("90", None, 1)
+    assert state["is_warm"]
+    assert Image.open(io.BytesIO(picture)).size == (128, 96)
+    assert fix["fix_height_m"] == pytest.approx(300.0, abs=1e-6)
+    assert "circular_m" not in fix  # the scene states no errors
 
 
 def test_tiles_of_one_host_may_be_asked_for(observed) -> None:

@@ -86,9 +86,8 @@ def view_command(
         _check(options, probability, page)
         with working("starting"):
             from jaxgeo.view import ViewServer
-        title = _title(options)
         try:
-            server = ViewServer(port=page.port or 0, title=title, tiles=page.tiles)
+            server = ViewServer(port=page.port or 0, tiles=page.tiles)
         except OSError as error:
             raise UserError(
                 f"--port {page.port}: {error.strerror or error}; give another port, or none for a free one."
@@ -139,7 +138,7 @@ def _view(server: ViewServer, options: LocateOptions, probability: float, page: 
 
     compile_quickly(options.has_terrain_field)
     enable_x64()
-    server.site.doing = "reading the files"
+    server.site.title, server.site.doing = _title(options), "reading the files"
     files: list[pathlib.Path | None] = []
     given = options.of_images
     has_marks = bool(given.pixels or given.detections or given.shots)

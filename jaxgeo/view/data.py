@@ -71,8 +71,9 @@ class ViewData:
         return Pictures(self.images, self.files or [None] * len(self.images))
 
     @functools.cached_property
-    def _lock(self) -> threading.Lock:
-        return threading.Lock()
+    def _locks(self) -> dict[str, threading.Lock]:
+        """A lock for each program, so that two requests do not compile it twice."""
+        return {name: threading.Lock() for name in ("accuracy", "locate", "project")}
 
     def locate(self, image: int, u: float, v: float, *, accuracy: bool = True) -> dict[str, Any]:
         """The fix of a pixel of an image: the columns of `jaxgeo locate`, texts, and its error ellipse.
@@ -84,7 +85,7 @@ class ViewData:
         observed, ground = self._pixel(image, u, v)
         both = None
         if accuracy and self.has_errors:
-            with self._lock:
+            with self._locks["accuracy"]:
                 both = located_with_accuracy(observed, [ground], self.probability)
         fix, found = both if both is not None else (self._located(observed.batches[0], ground), None)
         (row,) = rows_of(fix, figures_of("view", fix, found, None, None, None), None)
@@ -197,7 +198,8 @@ class ViewData:
 
     def _located(self, batch: ObservationBatch, ground: AbstractTerrain) -> Any:
         """Fixes of a batch by the one program that locates many pixels."""
-        parts = list(fixes_in_parts(batch, ground, size=MANY))
+        with self._locks["locate"]:
+            parts = list(fixes_in_parts(batch, ground, size=MANY))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def _projected(
@@ -214,7 +216,8 @@ class ViewData:
                 index = np.array([self.images[images[k]].index for k in part.tolist()])
                 ground = terrain_at(self.grounds[number], index)
                 given = _at(batch, index, np.zeros((len(index), 2))).observation
-                seen = _project_many(given, ground, lat[part], lon[part], batch.is_one_camera, axis_of(ground))
+                with self._locks["project"]:
+                    seen = _project_many(given, ground, lat[part], lon[part], batch.is_one_camera, axis_of(ground))
                 height[part], uv[part], status[part] = map(np.asarray, seen)
         return height, uv, status
 

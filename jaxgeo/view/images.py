@@ -59,7 +59,7 @@ def _image(observed: Observations, number: int, name: str, pairs: Sequence[tuple
     position = batch.shots.pose.position
     lat, lon, height = (float(np.asarray(x)[index]) for x in (position.lat, position.lon, position.height))
     rows = tuple(row for row, _ in pairs)
-    shown = name or (f"row {rows[0]}" if len(observed) > 1 else pathlib.Path(observed.source).name)
+    shown = name or (f"row {rows[0]}" if len(observed) > len(rows) else pathlib.Path(observed.source).name)
     size = int(batch.camera.width), int(batch.camera.height)
     uv = np.asarray(batch.observation.uv, np.float64)
     pixels = tuple((float(uv[k, 0]), float(uv[k, 1])) for _, k in pairs)

@@ -112,11 +112,15 @@ class Site:
 
     def _scene(self, query: Mapping[str, str]) -> Answer:
         del query
-        names = ("name", "width", "height", "lat_deg", "lon_deg", "height_m")
+        names = ("width", "height", "lat_deg", "lon_deg", "height_m")
         reason = (lambda i: None) if self.pictures is None else self.pictures.reason
         images = [
             {name: getattr(one, name) for name in names}
-            | {"reason": reason(i), "marks": one.pixels if self.has_marks else []}
+            | {
+                "name": f"exposure {one.name}" if one.name.isdigit() else one.name,
+                "reason": reason(i),
+                "marks": one.pixels if self.has_marks else [],
+            }
             for i, one in enumerate(self.images)
         ]
         content = {"title": self.title, "images": images, "tiles": self.tiles, "notes": self.notes}
