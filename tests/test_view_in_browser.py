@@ -16,7 +16,7 @@ from test_report_in_browser import QUIET, SIZES, browser_path, playwright
 
 import jaxgeo
 from jaxgeo.plot import words
-from jaxgeo.view import ViewServer, serve
+from jaxgeo.view import ViewData, ViewServer, serve
 
 GROUND = jaxgeo.ConstantHeight(300.0)
 FIX = np.array([0xD5, 0x5E, 0x00])  # colour of a fix
@@ -183,6 +183,27 @@ def focus_by_tab(page, name: str) -> None:
             assert outline != "none", "what has the focus is seen"
             return
     raise AssertionError(f"Tab does not reach {name}")
+
+
+@pytest.mark.costly
+def test_a_click_while_the_map_is_prepared_is_answered_later(browser, viewer, observed) -> None:
+    with ViewServer() as server:
+        context = browser.new_context(viewport={"width": 1400, "height": 1000})
+        page = context.new_page()
+        page.goto(server.address)
+        assert "Preparing" in page.locator("#state").inner_text()
+        server.show_images(observed)
+        page.wait_for_selector("html[data-images]", state="attached")
+        click(page, "#image-canvas", 0.5, 0.5)
+        assert page.locator("#headline").inner_text() == "Preparing …"
+        server.show(ViewData(observed, [GROUND]))
+        point = answered(page, "")
+        assert (point["lat"], point["lon"]) == pytest.approx(place_of(observed, point["u"], point["v"]), abs=2e-7)
+        server.fail("The flight is over.")
+        page.reload()
+        page.wait_for_selector("#state.error")
+        assert page.locator("#state").inner_text() == "The flight is over."
+        context.close()
 
 
 @pytest.mark.costly

@@ -13,6 +13,8 @@
   // What is shown: the images, the map, the point asked for, and the points that are kept.
   const shown = { images: [], image: 0, edition: "", tiles: null, map: null, point: null, kept: [] };
   let asking = null;  // stops the request before the last one
+  let mapIsShown;
+  const mapShown = new Promise((done) => { mapIsShown = done; });
 
   // A canvas with a scale: dragging, wheel, two fingers, keys. The world's second axis points down.
   class Stage {
@@ -462,9 +464,11 @@
     shown.point = { image: number, u, v, lat: null, is_fix: false };
     image.cross = [u, v];
     const asked = "Pixel " + u + ", " + v + " of " + one.name;
-    show({ asked, isWaiting: true, headline: isReady ? "…" : "Preparing …" });
+    show({ asked, isWaiting: true, headline: shown.map ? "…" : "Preparing …" });
     const query = "api/locate?image=" + number + "&u=" + u + "&v=" + v;
     try {
+      await mapShown;
+      if (stop.signal.aborted) return;
       const fix = await get(query + "&accuracy=no", stop);
       placeFix(fix, asked);
       if (!fix.is_fix) return;
@@ -634,6 +638,7 @@
     byId("image").value = String(number);
     byId("before").disabled = number === 0;
     byId("next").disabled = number === shown.images.length - 1;
+    text("count", number + 1 + " of " + shown.images.length);
     if (!isNew) return;
     Object.assign(image, { base: null, part: null, cross: null });
     image.canvas.setAttribute("aria-label", "Image " + one.name + ", " + one.width + " columns, " + one.height + " rows");
@@ -653,7 +658,7 @@
   }
 
   // Preparing.
-  let isReady = false, hasBegun = false;
+  let hasBegun = false;
   async function prepare() {
     const words = byId("state-text"), block = byId("state");
     for (;;) {
@@ -662,9 +667,8 @@
       if (state.error) { words.textContent = state.error; block.className = "error"; return; }
       if (state.has_images && !shown.images.length) await showImages();
       if (state.has_map && !shown.map) await showMap();
-      isReady = state.is_ready;
       words.textContent = state.is_warm ? "Ready" : "Preparing: " + state.doing;
-      if (isReady && !hasBegun && (hasBegun = true) && !shown.point && shown.images[shown.image].marks.length) askPixel(...shown.images[shown.image].marks[0]);
+      if (state.is_ready && !hasBegun && (hasBegun = true) && !shown.point && shown.images[shown.image].marks.length) askPixel(...shown.images[shown.image].marks[0]);
       if (state.is_warm) { block.className = "done"; document.documentElement.dataset.ready = "yes"; return; }
       await new Promise((later) => setTimeout(later, 300));
     }
@@ -697,7 +701,9 @@
     byId("notes").replaceChildren(...scene.notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
     if (found.between && !shown.tiles)
       load("relief?box=" + found.box.join() + "&edition=" + shown.edition, (picture) => { map.reliefs = [{ name: "", picture, box: [left, top, right, bottom] }]; map.changed(); });
+    byId("map-message").hidden = true;
     document.documentElement.dataset.map = "yes";
+    mapIsShown();
   }
 
   // Forms and buttons. Numbers may be typed with a comma, and both coordinates into the first field.
@@ -717,7 +723,7 @@
       ask(...numbers);
     });
   }
-  form("pixel-form", ["u", "v"], (u, v) => { askPixel(u, v); keepInView(image, [u, v]); }, (u, v) => Number.isNaN(u + v) ? "Give column and row as numbers, such as 1200 and 800.5." : shown.map ? "" : "The map is being prepared.");
+  form("pixel-form", ["u", "v"], (u, v) => { askPixel(u, v); keepInView(image, [u, v]); }, (u, v) => Number.isNaN(u + v) ? "Give column and row as numbers, such as 1200 and 800.5." : image.whole ? "" : "The images are being prepared.");
   form("place-form", ["lat", "lon"], (lat, lon) => { askPlace(lat, lon); keepInView(map, map.toMap(lat, lon)); }, (lat, lon) => Number.isNaN(lat + lon) ? "Give latitude and longitude in degrees, such as 36.3125 and -84.2571." : Math.abs(lat) > 90 || Math.abs(lon) > 360 ? "Latitudes end at 90 degrees, longitudes at 180." : shown.map ? "" : "The map is being prepared.");
   byId("image").addEventListener("change", (event) => choose(Number(event.target.value)));
   byId("before").addEventListener("click", () => choose(shown.image - 1));
