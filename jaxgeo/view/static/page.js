@@ -461,6 +461,7 @@
     const number = shown.image, one = shown.images[number], stop = begin();
     Object.assign(byId("u"), { value: String(u) });
     Object.assign(byId("v"), { value: String(v) });
+    for (const id of ["lat", "lon"]) byId(id).value = "";
     shown.point = { image: number, u, v, lat: null, is_fix: false };
     image.cross = [u, v];
     const asked = "Pixel " + u + ", " + v + " of " + one.name;
@@ -486,9 +487,9 @@
       byId("lon").value = lon.toFixed(7);
       map.cross = map.toMap(lat, lon);
     }
-    const heading = lat !== null && fix.is_fix ? [fix.lat_text, fix.lon_text] : "No fix";
+    const heading = lat !== null && fix.is_fix ? [fix.lat_text, fix.lon_text] : fix.label;
     const more = lat === null || !fix.is_fix ? [] : [fix.height_text, fix.msl_text];
-    const sentence = fix.is_fix ? (fix.ellipse_text ? fix.ellipse_text + "." : "") : fix.status_text + (lat !== null ? " The open ring on the map is where it becomes unknown: " + fix.lat_text + ", " + fix.lon_text + "." : "");
+    const sentence = fix.is_fix ? (fix.ellipse_text ? fix.ellipse_text + "." : "") : fix.status_text + (lat !== null ? " The open ring on the map is the point of the line of sight from which the ground is unknown." : "");
     show({ asked, label: fix.label, isBad: !fix.is_fix, headline: heading, more, sentence, fix, isWaiting: fix.is_fix && shown.map.has_errors && !isWhole });
     keepInView(map, lat === null ? null : map.toMap(lat, lon));
     speak(asked, fix);
@@ -498,6 +499,7 @@
     const number = shown.image, one = shown.images[number], stop = begin();
     byId("lat").value = lat.toFixed(7);
     byId("lon").value = lon.toFixed(7);
+    for (const id of ["u", "v"]) byId(id).value = "";
     shown.point = { image: number, u: null, v: null, lat, lon, is_fix: false };
     map.cross = map.toMap(lat, lon);
     const asked = degrees(lat, "N", "S", 7) + ", " + degrees(lon, "E", "W", 7);
