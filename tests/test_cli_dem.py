@@ -27,6 +27,7 @@ SCENE = f"--scene scene.toml --dem {URL}"
 LINES = {
     "locate": f"{SCENE} --pixel 1,2",
     "report": f"{SCENE} --pixel 1,2 -o out.html",
+    "view": f"{SCENE} --no-browser",
     "footprint": SCENE,
     "point": f"{SCENE} --target 36.27,-84.268",
     "overlap": f"{SCENE} --shots shots.csv",

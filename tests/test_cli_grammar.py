@@ -209,6 +209,13 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "dem --geoid EPSG:3855 --clear-cache",
     "locate images --detections found.csv --pixel-origin corner --anchor bottom",
     "report images --detections found.csv --pixel-origin corner --anchor bottom -o out.html",
+    f"view {SCENE} --shots shots.csv --shard 1/1 --dem-datum EPSG:5773 --attitude-sigma 0.1 --dem-correlation 400 "
+    f"{READING}",
+    "view images --pixel 10,20 --ground 300 --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
+    "--principal-sigma 2px --dem-sigma 4 --refraction --images images --tiles URL --port 8000 --no-browser --json "
+    "--debug",
+    f"view FILE {FILE} --camera-datum ellipsoid",
+    "view images --detections found.csv --pixel-origin corner --anchor bottom",
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",

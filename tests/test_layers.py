@@ -27,7 +27,7 @@ LAYERS = [
     ["register"],
     ["io", "plot", "scale"],
     ["cluster", "studies", "demo"],
-    ["report"],
+    ["report", "view"],
     ["cli"],
     ["__main__"],
 ]

@@ -25,10 +25,10 @@ from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Sho
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io._fix_columns import figures_of, rows_of
+from jaxgeo.plot import words as say
+from jaxgeo.plot.relief import Box
 from jaxgeo.report import Detail, ReportData, ReportHeader, details_of, report_html, write_report
-from jaxgeo.report import words as say
 from jaxgeo.report.details import chosen, region_of
-from jaxgeo.report.ground import Box
 from jaxgeo.report.map import draw_region, map_of
 from jaxgeo.report.places import places_of, rings_of
 from jaxgeo.uncertainty import Method, sources

@@ -16,8 +16,8 @@ from PIL import Image
 from jaxgeo.demo import scene_file
 from jaxgeo.io import read_dem
 from jaxgeo.io.scene import read_scene
+from jaxgeo.plot import words as say
 from jaxgeo.report import ReportData, ReportHeader, write_report
-from jaxgeo.report import words as say
 
 pytestmark = pytest.mark.slow
 

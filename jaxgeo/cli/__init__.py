@@ -1,10 +1,11 @@
 """The command line `jaxgeo`.
 
-`inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them,
-`accuracy-map` maps the accuracy of all places on an image; `validate` compares stated errors with check points;
-`footprint`, `point`, `overlap` and `plan` are for coverage and mission planning; `rectify` orthorectifies images,
-`register` estimates their orientation from a map; `dem` fetches elevation models; `scene` writes a scene file of an
-exposure; `demo` is an example; `doctor` checks the installation; `study` reproduces published results.
+`inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them;
+`view` shows images and map in the browser; `accuracy-map` maps the accuracy of all places on an image; `validate`
+compares stated errors with check points; `footprint`, `point`, `overlap` and `plan` are for coverage and mission
+planning; `rectify` orthorectifies images, `register` estimates their orientation from a map; `dem` fetches elevation
+models; `scene` writes a scene file of an exposure; `demo` is an example; `doctor` checks the installation; `study`
+reproduces published results.
 
 All commands share one interface: results on stdout, messages and progress on stderr; `--json` prints one object
 (`_results.py`), `-o` writes a file atomically; exit codes are those of `_common.py`.
@@ -41,6 +42,7 @@ from jaxgeo.cli.report import report_command
 from jaxgeo.cli.scene import scene_command
 from jaxgeo.cli.study import studies
 from jaxgeo.cli.validate import validate_command
+from jaxgeo.cli.view import view_command
 
 EPILOG = """[bold]Exit codes[/bold]
     0  done
@@ -88,6 +90,7 @@ def _add(name: str, command: Callable[..., None]) -> None:
 _add("inspect", inspect_command)
 _add("locate", locate_command)
 _add("report", report_command)
+_add("view", view_command)
 _add("accuracy-map", accuracy_map_command)
 _add("validate", validate_command)
 _add("footprint", footprint_command)

@@ -20,6 +20,12 @@ EXAMPLES = {
         "jaxgeo report DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif -o report.html",
         "jaxgeo report flight.klv --ground reported --details 1 -o report.html",
     ),
+    "view": (
+        "jaxgeo view DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif",
+        "jaxgeo view images --camera-datum ellipsoid --dem copernicus",
+        "jaxgeo view reconstruction.json --images images --camera-datum ellipsoid --dem dem.tif",
+        "jaxgeo view flight.klv --ground reported --no-browser --port 8765",
+    ),
     "accuracy-map": (
         f"jaxgeo accuracy-map {SCENE} --resolution 200 -o accuracy.tif",
         "jaxgeo accuracy-map DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif --resolution 2 -o accuracy.tif",

@@ -124,6 +124,16 @@ def inputs_of(
     return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed, vertices)
 
 
+def states_errors(options: LocateOptions) -> bool | None:
+    """For a table of shots, whether its scene or an option states error sources; None for other inputs."""
+    from jaxgeo.io.scene import read_scene
+
+    given = options.of_images
+    if given.shots is None or given.scene is None:
+        return None
+    return bool(options.sigmas.given) or read_scene(given.scene).errors is not None
+
+
 def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[np.ndarray] | None]:
     """(observations, outlines of detections in pixels)."""
     from jaxgeo.io import read_observations

@@ -123,12 +123,12 @@ def exit_without_fix(inputs: LocateInputs, fixes: Fix) -> None:
         raise typer.Exit(FAULT)
     if np.isfinite(fixes.slant_range).any():
         return
-    why = _camera_outside_dem(inputs)
+    why = camera_outside_dem(inputs)
     print_message("no pixel has a fix" + (f": {why}." if why else "."))
     raise typer.Exit(NO_ANSWER)
 
 
-def _camera_outside_dem(inputs: LocateInputs) -> str | None:
+def camera_outside_dem(inputs: LocateInputs) -> str | None:
     """Possible reason why no pixel has a fix: the DEM does not cover the first camera; None otherwise."""
     from jaxgeo.io.extent import place_beside
 

@@ -113,11 +113,8 @@ class OrientedImages:
 
         names = [str(row.get("name")) for row in observed.columns]
         if self.folder is not None:
-            by_stem: dict[str, list[pathlib.Path]] = {}
-            for path in sorted(self.folder.iterdir()):
-                if path.suffix.lower() in ENDINGS:
-                    by_stem.setdefault(path.stem, []).append(path)
-            return [self._named(name, by_stem) for name in names]
+            by_stem = images_in(self.folder)
+            return [image_named(self.folder, name, by_stem) for name in names]
         each = [pathlib.Path(one) for one in files_of(self.files)[0]]
         by_name = {one.name: one for one in each} | {f"{one}": one for one in each}
         unknown = next((name for name in names if name not in by_name), None)
@@ -128,15 +125,24 @@ class OrientedImages:
             )
         return [by_name[name] for name in names]
 
-    def _named(self, name: str, by_stem: dict[str, list[pathlib.Path]]) -> pathlib.Path:
-        """The image of a name, which may have another ending or none. Raises `UserError` for several."""
-        assert self.folder is not None
-        exact = self.folder / name
-        found = [exact] if exact.is_file() else by_stem.get(exact.name, by_stem.get(exact.stem, []))
-        if len(found) > 1:
-            shown = ", ".join(one.name for one in found)
-            raise UserError(f"--images {self.folder}: {name} may be {shown}; leave one of them in the folder.")
-        return found[0] if found else exact
+
+def images_in(folder: pathlib.Path) -> dict[str, list[pathlib.Path]]:
+    """The images in a folder, by their names without ending."""
+    by_stem: dict[str, list[pathlib.Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in ENDINGS:
+            by_stem.setdefault(path.stem, []).append(path)
+    return by_stem
+
+
+def image_named(folder: pathlib.Path, name: str, by_stem: dict[str, list[pathlib.Path]]) -> pathlib.Path:
+    """The image of a name, which may have another ending or none. Raises `UserError` for several."""
+    exact = folder / name
+    found = [exact] if exact.is_file() else by_stem.get(exact.name, by_stem.get(exact.stem, []))
+    if len(found) > 1:
+        shown = ", ".join(one.name for one in found)
+        raise UserError(f"--images {folder}: {name} may be {shown}; leave one of them in the folder.")
+    return found[0] if found else exact
 
 
 def _form(file: pathlib.Path) -> Any:

@@ -16,7 +16,7 @@ from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import Sigmas
-from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
+from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs, states_errors
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._locate_results import exit_without_fix, locate_inputs
 from jaxgeo.cli._options import WRITING, OptionGroup, Probability
@@ -101,7 +101,7 @@ def _report(
         from jaxgeo.report import ReportData, ReportHeader, details_of, report_html
     compile_quickly(options.has_terrain_field)
     enable_x64()
-    inputs = read_inputs(options, _has_errors(options), output)
+    inputs = read_inputs(options, states_errors(options), output)
     observed, reasons = inputs.observed, inputs.reasons
     if many.cluster is None:
         fixes, accuracy = locate_inputs(inputs, probability)
@@ -126,16 +126,6 @@ def _report(
         content = {"fixes": rows, "details": [detail.to_dict() for detail in details]}
         print_json("report", {"inputs": options.inputs, "assumed": inputs.assumed, **content})
     return inputs, fixes
-
-
-def _has_errors(options: LocateOptions) -> bool | None:
-    """For a table of shots, whether its scene or an option states error sources; None for other inputs."""
-    from jaxgeo.io.scene import read_scene
-
-    given = options.of_images
-    if given.shots is None or given.scene is None:
-        return None
-    return bool(options.sigmas.given) or read_scene(given.scene).errors is not None
 
 
 def _title(options: LocateOptions) -> str:

@@ -114,13 +114,13 @@ def _accuracy_of(
     )
 
 
-def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain) -> Iterator[Fix]:
-    """Fixes of consecutive parts of a batch, as they are computed."""
+def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain, *, size: int | None = None) -> Iterator[Fix]:
+    """Fixes of consecutive parts of a batch, as they are computed, `size` at a time (default: one of `CHUNKS`)."""
     total = len(batch)
     if _are_all_outside(batch):  # needs no compilation
         yield _outside(total)
         return
-    size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
+    size = next((size for size in CHUNKS if size >= total), CHUNKS[-1]) if size is None else size
     if size == 1:
         yield jax.tree.map(lambda leaf: np.asarray(leaf)[None], _located(batch.at(0)[0], terrain_at(terrain, 0)))
         return

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgeo.coverage.exposure import image_size
 from jaxgeo.io._mgrs import mgrs_of
-from jaxgeo.report import words
+from jaxgeo.plot import words
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
 from jaxgeo.status import Status

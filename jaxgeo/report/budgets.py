@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from jaxgeo.report import words
+from jaxgeo.plot import words
 from jaxgeo.uncertainty import Budget
 from jaxgeo.uncertainty._budget import READ_AS, SigmaShare, SourceShare, Variance
 

@@ -9,9 +9,9 @@ import numpy as np
 from bokeh.models import BoxZoomTool, HoverTool, PanTool, Range1d, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 
+from jaxgeo.plot import words
 from jaxgeo.plot.sightline import Section
 from jaxgeo.plot.style import BLUE, EARTH, INK, JUMPED, MUTED, SHADE, SIGHT, SKY, VERMILLION
-from jaxgeo.report import words
 from jaxgeo.report.details import Detail
 from jaxgeo.report.map import draw_region, dress
 from jaxgeo.report.places import rings_of, samples_of

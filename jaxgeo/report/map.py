@@ -10,11 +10,11 @@ from bokeh.models import BoxZoomTool, ColumnDataSource, HoverTool, PanTool, Rang
 from bokeh.models.annotations.dimensional import ImperialLength
 from bokeh.plotting import figure
 
+from jaxgeo.plot import words
+from jaxgeo.plot.relief import Box, Relief, metres_per_degree
 from jaxgeo.plot.style import BLUE, HAIR, INK, JUMPED, MUTED, PURPLE, REGION, SHADE, SIGHT, SKY, VERMILLION
-from jaxgeo.report import words
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
-from jaxgeo.report.ground import Box, Relief, metres_per_degree
 from jaxgeo.report.places import Places, cloud_of, ellipse_of, rings_of, unwrapped
 
 Row = Mapping[str, Any]

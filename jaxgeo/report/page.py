@@ -21,14 +21,14 @@ from markupsafe import Markup
 from jaxgeo._destination import destination
 from jaxgeo.io._fix_columns import figures_of, rows_of
 from jaxgeo.io.registration_report import versions
+from jaxgeo.plot import words
+from jaxgeo.plot.relief import Box, Heights, Relief, heights_of, metres_per_degree, relief_of
 from jaxgeo.plot.style import INK, JUMPED, PURPLE, REGION, SIGHT, SKY, VERMILLION
-from jaxgeo.report import words
 from jaxgeo.report.answers import answer_of, camera_of, summary_of
 from jaxgeo.report.budgets import budget_of
 from jaxgeo.report.charts import cloud_chart, section_chart
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail, details_of
-from jaxgeo.report.ground import Box, Heights, Relief, heights_of, metres_per_degree, relief_of
 from jaxgeo.report.map import map_of
 from jaxgeo.report.places import Places, ellipse_of, places_of
 from jaxgeo.report.table import table_of

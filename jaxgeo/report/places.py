@@ -10,9 +10,9 @@ import jax
 import numpy as np
 
 from jaxgeo.earth import WGS84
+from jaxgeo.plot.relief import Box, metres_per_degree
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
-from jaxgeo.report.ground import Box, metres_per_degree
 from jaxgeo.uncertainty.metrics import error_ellipse
 
 MOST_FIXES = 4000  # on a map; more are thinned evenly

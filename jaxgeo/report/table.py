@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxgeo.report import words
+from jaxgeo.plot import words
 from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 

@@ -1,4 +1,4 @@
-"""Shaded relief images and height grids embedded in a report."""
+"""Shaded relief images and height grids of a terrain in a geographic box, for pages."""
 
 from __future__ import annotations
 
@@ -87,6 +87,14 @@ def metres_per_degree(lat_deg: float) -> tuple[float, float]:
 
 def relief_of(dem: Dem, box: Box, *, across: int = ACROSS, between: tuple[float, float] | None = None) -> Relief | None:
     """The relief of a terrain in a box; None if no height is known. Points outside the terrain are transparent."""
+    found = relief_pixels(dem, box, across=across, between=between)
+    return None if found is None else Relief(box, _as_url(found[0]), found[1])
+
+
+def relief_pixels(
+    dem: Dem, box: Box, *, across: int = ACROSS, between: tuple[float, float] | None = None
+) -> tuple[np.ndarray, tuple[float, float]] | None:
+    """(colours (rows, cols, 4) from 0 to 1, height range) of `relief_of`."""
     wide, high = box.sides
     cell = float(np.min(np.asarray(dem.grid.cell_size())))
     cols = min(across, max(round(FINEST * wide / cell), FEWEST))  # finer images would show facets as steps
@@ -101,7 +109,7 @@ def relief_of(dem: Dem, box: Box, *, across: int = ACROSS, between: tuple[float,
     north, east = np.meshgrid(np.linspace(high, 0.0, rows), np.linspace(0.0, wide, cols), indexing="ij")
     with np.errstate(invalid="ignore"):
         colours = relief_colours(heights, east, north, between=between)
-    return Relief(box, _as_url(colours), between)
+    return colours, between
 
 
 def _of_centres(box: Box, rows: int, cols: int) -> Box:
@@ -136,7 +144,13 @@ def _surface(dem: Dem, lat: jax.Array, lon: jax.Array) -> jax.Array:
 
 def _as_url(colours: np.ndarray) -> str:
     """An image as a data URL."""
+    content, kind = encoded(colours)
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def encoded(colours: np.ndarray) -> tuple[bytes, str]:
+    """(content, media type) of an image file of colours (rows, cols, 4) from 0 to 1."""
     image = Image.fromarray(np.round(255.0 * colours).astype(np.uint8), "RGBA")
     buffer, kind = io.BytesIO(), "webp" if features.check("webp") else "png"
     image.save(buffer, kind.upper(), **({"quality": QUALITY, "method": 4} if kind == "webp" else {"optimize": True}))
-    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+    return buffer.getvalue(), f"image/{kind}"

@@ -1,4 +1,4 @@
-"""Number and status formatting for reports."""
+"""Number and status formatting for pages."""
 
 from __future__ import annotations
 
