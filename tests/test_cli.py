@@ -340,7 +340,7 @@ def made() -> Demo:
 
 def test_demo_without_matplotlib_shows_the_table_and_a_hint(tmp_path: pathlib.Path, monkeypatch, made: Demo) -> None:
     without_matplotlib(monkeypatch)
-    monkeypatch.setattr("jaxgeo.demo.make_demo", lambda: made)
+    monkeypatch.setattr("jaxgeo.demo.make_demo", lambda show: [show(made), made][-1])
     result = run("demo", "--output", tmp_path / "demo.png")
     assert_table_and_hint(result, tmp_path)
     for words in ("Somewhere", "fix 7", "circles", "shares"):

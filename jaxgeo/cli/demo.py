@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import pathlib
 from concurrent.futures import ThreadPoolExecutor
@@ -49,10 +50,12 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[s
         picture_format = _picture_format(output)
         if write_scene is not None:
             _write_demo_scene(write_scene)
-        rows, made = _show_demo(inputs is None)
+        rows, made, picture = _show_demo(inputs is None)
         if inputs is not None:
             print_json("demo", {"inputs": inputs, **_content(made, rows)})
-        _draw(made, stream, picture_format)
+        if picture is None:
+            raise typer.Exit(NO_ANSWER)
+        picture.write(made, stream, picture_format)
     if inputs is None:
         Console().print(f"figure: {output}", highlight=False, soft_wrap=True)
 
@@ -77,32 +80,54 @@ def _write_demo_scene(path: pathlib.Path) -> None:
         stream.write(demo.scene_file().read_text(encoding="utf-8"))
 
 
-def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any]:
-    """(rows of fixes, the demo), printed if `shows`."""
+def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any, Any]:
+    """(rows of fixes, the demo, its picture with all but the accuracy, None without matplotlib), printed if `shows`."""
     compile_quickly()
     from jaxgeo import demo
     from jaxgeo._checks import enable_x64
-    from jaxgeo.io import height_msl
-    from jaxgeo.io.tables import fix_rows
 
     enable_x64()
-    console = Console()
-    with working("compiling, locating and sampling"), ThreadPoolExecutor() as pool:
-        pool.submit(importlib.import_module, "jaxgeo.plot")  # if it is missing, `_draw` says so
-        made = demo.make_demo()
-    rows = [
-        {"u": u, "v": v, **row} for (u, v), row in zip(made.uv, fix_rows(made.fix, height_msl(made.fix)), strict=True)
-    ]
-    if shows:
-        console.print(fix_table(rows, title=made.title))
-    print_counts(
-        {name: sum(row["status"] == name for row in rows) for name in {row["status"] for row in rows}}, len(rows)
-    )
+    console, rows, pictures, waiting = Console(), [], [], contextlib.ExitStack()
+
+    def show(seen: Any) -> None:
+        waiting.close()  # a spinner would take what is printed for its own
+        rows.extend(_rows(seen))
+        if shows:
+            console.print(fix_table(rows, title=seen.title))
+        print_counts(
+            {name: sum(row["status"] == name for row in rows) for name in {row["status"] for row in rows}}, len(rows)
+        )
+        waiting.enter_context(working("drawing, and compiling for the accuracy of one fix"))
+        pictures.append(_begun(seen))
+
+    with waiting, ThreadPoolExecutor() as pool:
+        waiting.enter_context(working("compiling, and locating"))
+        pool.submit(importlib.import_module, "jaxgeo.plot")  # if it is missing, `_begun` says so
+        made = demo.make_demo(show)
     if shows:
         console.print(f"\nAccuracy of fix {made.errors.number}:", highlight=False)
         for part in (made.errors.checked, made.errors.budget):
             console.print(str(part), highlight=False, soft_wrap=True)
-    return rows, made
+    return rows, made, pictures[0]
+
+
+def _rows(seen: Any) -> list[dict[str, Any]]:
+    from jaxgeo.io import height_msl
+    from jaxgeo.io.tables import fix_rows
+
+    of_fixes = fix_rows(seen.fix, height_msl(seen.fix))
+    return [{"u": u, "v": v, **row} for (u, v), row in zip(seen.uv, of_fixes, strict=True)]
+
+
+def _begun(seen: Any) -> Any:
+    """A picture of what the camera sees; None, with a message, without matplotlib."""
+    from jaxgeo import demo
+
+    try:
+        return demo.Picture(seen)
+    except ImportError as error:
+        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        return None
 
 
 def _content(made: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -119,14 +144,3 @@ def _numbers(made: Any, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         {"u": row["u"], "v": row["v"], **{name: values[i] for name, values in found.items()}}
         for i, row in enumerate(rows)
     ]
-
-
-def _draw(made: Any, stream: Any, picture_format: str) -> None:
-    """Write the figure to a stream; without matplotlib a message and exit code 1."""
-    from jaxgeo import demo
-
-    try:
-        demo.draw(made, stream, picture_format)
-    except ImportError as error:
-        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
-        raise typer.Exit(NO_ANSWER) from None

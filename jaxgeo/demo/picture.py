@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo.demo.scene import VIEW, Demo, sampled
+from jaxgeo.demo.scene import VIEW, Demo, Seen, sampled
 from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import FrameCamera
 from jaxgeo.terrain import Dem
@@ -24,31 +24,39 @@ TYPE: dict[Any, Any] = {
 }
 
 
-def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
-    """Write a figure with map, camera view, section, and the accuracy of one fix. Needs matplotlib.
+class Picture:
+    """A figure of map, camera view and section, and of the accuracy of one fix once that is known. Needs matplotlib."""
 
-    `picture_format` is a matplotlib format, such as "png"; by default it is taken from the file name.
-    """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    def __init__(self, seen: Seen) -> None:
+        import matplotlib as mpl
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
 
-    with mpl.rc_context(TYPE):
-        figure = Figure(figsize=(15.0, 14.0), layout="constrained")
-        FigureCanvasAgg(figure)
-        parts: Any = figure.subfigures(2, 1, height_ratios=[8.8, 5.2])
-        ground, errors = parts
-        grid = ground.add_gridspec(2, 2, width_ratios=[1.05, 1.0], height_ratios=[1.0, 0.85])
-        _draw_map(demo, ground.add_subplot(grid[:, 0]))
-        _draw_view(demo, ground.add_subplot(grid[0, 1]))
-        _draw_section(demo, ground.add_subplot(grid[1, 1]))
-        cloud, shares = errors.subfigures(1, 2, width_ratios=[1.4, 1.0])
-        _draw_errors(demo, cloud)
-        _draw_budget(demo, shares)
-        figure.savefig(target, dpi=110, format=picture_format)
+        with mpl.rc_context(TYPE):
+            self._figure = Figure(figsize=(15.0, 14.0), layout="constrained")
+            FigureCanvasAgg(self._figure)
+            parts: Any = self._figure.subfigures(2, 1, height_ratios=[8.8, 5.2])
+            ground, self._errors = parts
+            grid = ground.add_gridspec(2, 2, width_ratios=[1.05, 1.0], height_ratios=[1.0, 0.85])
+            _draw_map(seen, ground.add_subplot(grid[:, 0]))
+            _draw_view(seen, ground.add_subplot(grid[0, 1]))
+            _draw_section(seen, ground.add_subplot(grid[1, 1]))
+
+    def write(self, demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
+        """Add the accuracy, and write the figure.
+
+        `picture_format` is a matplotlib format, such as "png"; by default it is taken from the file name.
+        """
+        import matplotlib as mpl
+
+        with mpl.rc_context(TYPE):
+            cloud, shares = self._errors.subfigures(1, 2, width_ratios=[1.4, 1.0])
+            _draw_errors(demo, cloud)
+            _draw_budget(demo, shares)
+            self._figure.savefig(target, dpi=110, format=picture_format)
 
 
-def _draw_map(demo: Demo, ax: Any) -> None:
+def _draw_map(demo: Seen, ax: Any) -> None:
     from jaxgeo import plot
 
     plot.map_axes(demo.dem, ax)
@@ -64,7 +72,7 @@ def _draw_map(demo: Demo, ax: Any) -> None:
     ax.set_title("Ground points of pixels")
 
 
-def _draw_view(demo: Demo, ax: Any) -> None:
+def _draw_view(demo: Seen, ax: Any) -> None:
     """Draw the ground as seen by the camera: far at the top, flight direction to the left."""
     from jaxgeo import plot
 
@@ -86,7 +94,7 @@ def _draw_view(demo: Demo, ax: Any) -> None:
     ax.set_title("Camera view, one ray per pixel")
 
 
-def _draw_section(demo: Demo, ax: Any) -> None:
+def _draw_section(demo: Seen, ax: Any) -> None:
     from jaxgeo import plot
 
     distance, sight, ground, hidden = demo.section

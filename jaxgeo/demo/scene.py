@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.resources
 import pathlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -47,8 +48,8 @@ class Errors(Record):
         return self.checked.accuracy
 
 
-class Demo(Record):
-    """Results of the demo; angles in rad, lengths in m."""
+class Seen(Record):
+    """What the camera sees; angles in rad, lengths in m."""
 
     title: str
     dem: Dem
@@ -62,6 +63,11 @@ class Demo(Record):
     view: Fix  # (columns, rows)
     hidden: np.ndarray  # (rows, cols) of the DEM: inside the image but hidden by terrain
     section: tuple[np.ndarray, ...]  # distance on the ground, height of the optical axis, of the ground, hidden
+
+
+class Demo(Seen):
+    """Results of the demo."""
+
     errors: Errors
 
 
@@ -70,8 +76,11 @@ def scene_file() -> pathlib.Path:
     return pathlib.Path(str(importlib.resources.files("jaxgeo") / "data" / "demo_scene.toml"))
 
 
-def make_demo() -> Demo:
-    """Locate a grid of pixels, the outline and the view of the demo shot, and find the hidden ground."""
+def make_demo(meanwhile: Callable[[Seen], None] | None = None) -> Demo:
+    """Locate a grid of pixels, the outline and the view of the demo shot, and find the hidden ground.
+
+    `meanwhile` is called with these while programs for the accuracy of one fix are compiled.
+    """
     scene = read_scene(scene_file())
     sensor, shot = scene.sensor, scene.shot
     assert shot is not None
@@ -91,9 +100,8 @@ def make_demo() -> Demo:
         section = pool.submit(_section_under_axis, sensor, shot, dem)
         fix = located(sensor, shot, uv, dem)
         hidden = _hidden(sensor, shot, dem, *posts.result())
-        found, shares = answered.result()
         centre, along = section.result()
-        return Demo(
+        seen = Seen(
             title=scene.title,
             dem=dem,
             sensor=sensor,
@@ -106,8 +114,11 @@ def make_demo() -> Demo:
             view=_part(fix, m + 1, len(uv), VIEW),
             hidden=hidden,
             section=along,
-            errors=Errors(DOUBTED, AccuracyCheck(found, drawn.result()), shares),
         )
+        if meanwhile is not None:
+            meanwhile(seen)
+        found, shares = answered.result()
+        return Demo(**vars(seen), errors=Errors(DOUBTED, AccuracyCheck(found, drawn.result()), shares))
 
 
 def located(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Fix:
