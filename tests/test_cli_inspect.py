@@ -25,6 +25,7 @@ from tests.io.test_flight_log_programs import litchi, reader
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
 from tests.io.test_micmac_orientations import calibration, orientation
+from tests.io.test_pix4d_cameras import project
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -89,6 +90,11 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "reader.csv": (of_text(reader()), "flight log of Flight Reader", {"height_datum": "ellipsoid"}),
     "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
     "Orientation-a.JPG.xml": (of_micmac, "orientation of MicMac", {"height_datum": "ellipsoid", "crs": ENU}),
+    "field_calibrated_camera_parameters.txt": (
+        lambda path: project(path.parent),
+        "camera parameters of Pix4D",
+        {"height_datum": "ellipsoid", "crs": ENU},
+    ),
     "images.bin": (of_colmap, "model of COLMAP", {"height_datum": "ellipsoid", "crs": ENU}),
     "micmac.txt": (
         of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),

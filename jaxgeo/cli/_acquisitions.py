@@ -50,7 +50,7 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--source-crs",
             metavar="CRS",
-            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac: also '
+            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac, Pix4D: also '
             '"EPSG:4978" or "enu:LAT,LON,HEIGHT".',
         ),
     ] = None
@@ -59,8 +59,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--camera",
             metavar="CAMERA",
-            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), or the NAME of a "
-            "camera in the file (drone images: in the camera table).",
+            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), Pix4D's .cam, or "
+            "the NAME of a camera in the file (drone images: in the camera table).",
         ),
     ] = None
     gimbal: Annotated[

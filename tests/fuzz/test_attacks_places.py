@@ -224,6 +224,7 @@ READERS: dict[str, Callable[[pathlib.Path], Any]] = {
     "flight log of Flight Reader": acquisitions.read_flight_reader,
     "model of COLMAP": lambda path: acquisitions.read_colmap(path, crs="EPSG:4978", height_datum=0.0),
     "orientation of MicMac": lambda path: acquisitions.read_micmac(path, crs="EPSG:4978", height_datum=0.0),
+    "camera parameters of Pix4D": lambda path: acquisitions.read_pix4d(path, crs="EPSG:4978", height_datum=0.0),
     "solutions of RTKLIB": read_solutions,
     "cameras of Metashape": acquisitions.read_metashape_cameras,
     "BAL": io.read_bal,

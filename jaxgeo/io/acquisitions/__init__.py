@@ -13,6 +13,7 @@ from jaxgeo.io.acquisitions.litchi import read_litchi
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.micmac import read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority, read_orthority_cameras
+from jaxgeo.io.acquisitions.pix4d import read_pix4d
 from jaxgeo.io.acquisitions.positions import with_positions
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, for_each
 from jaxgeo.io.acquisitions.reported import Comparison, compare_reported
@@ -45,6 +46,7 @@ __all__ = [
     "read_micmac",
     "read_orthority",
     "read_orthority_cameras",
+    "read_pix4d",
     "read_sbet",
     "read_telemetry",
     "with_positions",

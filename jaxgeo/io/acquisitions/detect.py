@@ -30,6 +30,8 @@ from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.micmac import FORM as MICMAC_FORM
 from jaxgeo.io.acquisitions.micmac import files_of_orientations, read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority
+from jaxgeo.io.acquisitions.pix4d import FORM as PIX4D_FORM
+from jaxgeo.io.acquisitions.pix4d import files_of_parameters, read_pix4d
 from jaxgeo.io.acquisitions.positions import with_table
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
@@ -68,8 +70,8 @@ class Form(NamedTuple):
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
     an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
-    model or MicMac orientations (folder or file), Metashape cameras (XML), DJI video subtitles, flight logs (AirData,
-    Litchi, Flight Reader), a scene.
+    model, MicMac orientations or Pix4D camera parameters (folder or file), Metashape cameras (XML), DJI video
+    subtitles, flight logs (AirData, Litchi, Flight Reader), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
@@ -141,6 +143,8 @@ def form_of_folder(path: str | os.PathLike[str]) -> Form | None:
     """The kind of a folder that is one block; None for a folder of images."""
     if files_of_model(path) is not None:
         return COLMAP
+    if files_of_parameters(path):
+        return PIX4D
     return MICMAC if files_of_orientations(path) else None
 
 
@@ -288,6 +292,7 @@ IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positi
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
 COLMAP = Form(COLMAP_FORM, _is_colmap, read_colmap, PLACED)
 MICMAC = Form(MICMAC_FORM, _is_micmac, read_micmac, (*PLACED, "cameras"))
+PIX4D = Form(PIX4D_FORM, _has(b"camera matrix K [3x3]"), read_pix4d, PLACED)
 OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)")
 OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw")
 OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "custom.updatetime [local]")
@@ -311,6 +316,7 @@ FORMS = (
     Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
     COLMAP,
     MICMAC,
+    PIX4D,
     Form("file of positions", _is_positions, _of_positions, (*IMAGES_TAKE, "cameras")),
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),
