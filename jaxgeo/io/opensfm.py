@@ -36,6 +36,9 @@ PROJECTIONS = {
     "radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2")),
     "brown": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2", "k3", "p1", "p2")),
 }
+# Its others. Their rays are no tangents of angles, and some have more than half a sphere of them.
+UNREAD = ("fisheye", "fisheye_opencv", "fisheye62", "fisheye624", "dual", "spherical", "equirectangular")
+WAY_OUT = "undistort the images (opensfm undistort), and read the reconstruction that this writes"
 
 
 @dataclass(frozen=True)
@@ -97,14 +100,14 @@ def read_opensfm(
     - `part`: which of several reconstructions in the file, from 0; required if there are more than one.
 
     Projections: perspective, simple_radial, radial, brown, with the distortion as `BrownConrady` by the same formula.
-    Raises `TableError`, the key named, for values that are missing, not numbers or repeated, another projection, a shot
-    of an unknown camera, a file that is truncated or not JSON; `VerticalDatumError`; `FileNotFoundError`;
-    `RuntimeError` with 64-bit floats off.
+    Raises `TableError`, the key named, for values that are missing, not numbers or repeated, another projection of a
+    camera with shots (fisheye, dual, spherical and others), a shot of an unknown camera, a file that is truncated or
+    not JSON; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
     content = _part(path, read_json(path, "reconstruction"), part)
     where = f"{path}" if part is None else f"{path}, [{part}]"
-    cameras = _cameras(f"{where}, cameras", table_of(where, content, "cameras"))
+    written = table_of(where, content, "cameras")
     shots, points = table_of(where, content, "shots"), content.get("points", {})
     if not isinstance(points, dict):
         raise TableError(f"{where}, points: expected points by name; got {shown(points)}.")
@@ -112,8 +115,12 @@ def read_opensfm(
         raise TableError(f"{where}, shots: there are none.")
     for name, shot in shots.items():
         camera = value_of(f"{where}, shots, {name}", shot, "camera")
-        if not isinstance(camera, str) or camera not in cameras:
+        if not isinstance(camera, str) or camera not in written:
             raise TableError(f"{where}, shots, {name}: camera {shown(camera)} is not among the file's cameras.")
+    used = {shot["camera"] for shot in shots.values()}
+    cameras = _cameras(
+        f"{where}, cameras", {name: one for name, one in written.items() if name in used or not _is_unread(one)}
+    )
     limits = {"rotation": LARGEST_TURN, "translation": LARGEST_DISTANCE}
     vectors = [vectors_of(f"{where}, shots", shots, key, largest) for key, largest in limits.items()]
     centres, R_world_from_camera = (np.asarray(x) for x in _from_world(*vectors))
@@ -154,11 +161,16 @@ def _cameras(where: str, table: Mapping[str, Any]) -> dict[str, FrameCamera]:
     return {name: _camera(f"{where}, {name}", camera) for name, camera in table.items()}
 
 
+def _is_unread(camera: Any) -> bool:
+    return isinstance(camera, dict) and camera.get("projection_type") in UNREAD
+
+
 def _camera(where: str, camera: Any) -> FrameCamera:
     """A camera in pixels: OpenSfM normalises by the longer side of the image, about the image centre."""
     kind = camera.get("projection_type", "perspective") if isinstance(camera, dict) else camera
     if not isinstance(kind, str) or kind not in PROJECTIONS:
-        raise TableError(f"{where}: projection_type {shown(kind)} is not read; only {', '.join(PROJECTIONS)} are.")
+        remedy = f": {WAY_OUT}." if kind in UNREAD else f"; only {', '.join(PROJECTIONS)} are."
+        raise TableError(f"{where}: projection_type {shown(kind)} is not read{remedy}")
     focal_keys, offset_keys, coefficients = PROJECTIONS[kind]
     width, height = (size_of(where, camera, key) for key in ("width", "height"))
     longer, centre = max(width, height), np.array([width - 1, height - 1]) / 2.0

@@ -49,7 +49,9 @@ def pix4d_camera(path: str | os.PathLike[str]) -> FrameCamera:
     if abs(side[1] / height / pitch - 1.0) > SQUARE or focal <= 0.0:
         raise TableError(f"{path}: a sensor of {side[0]:g} x {side[1]:g} mm with F {focal:g} mm is none of {width} x "
                          f"{height} pixels.")  # fmt: skip
-    return frame_camera_of((width, height), (focal / pitch, focal / pitch), (x / pitch, y / pitch), (k1, k2, k3), (t1, t2))
+    return frame_camera_of(
+        (width, height), (focal / pitch, focal / pitch), (x / pitch, y / pitch), (k1, k2, k3), (t1, t2)
+    )
 
 
 def frame_camera_of(

@@ -228,7 +228,7 @@ REFUSED = {
     "no shots": (content(shots=None), "shots is missing; found cameras, points"),
     "none": (content(shots={}), "shots: there are none"),
     "a list of cameras": (content(cameras=[BROWN]), r"cameras: expected a table by name; got \[\{'proj"),
-    "fisheye": (with_camera(projection_type="fisheye"), "cameras, v2 brown: projection_type 'fisheye' is not read"),
+    "other": (with_camera(projection_type="cubic"), "v2 brown: projection_type 'cubic' is not read; only perspective"),
     "no focal": (no_focal(), "cameras, old: focal is missing; found projection_type, width"),
     "focal": (with_camera(focal_x=0.0), "v2 brown: focal lengths must be positive"),
     "width": (with_camera(width=10.5), "v2 brown: width must be a whole number of pixels above zero; got 10.5"),
@@ -250,6 +250,21 @@ def test_wrong_files(file, case: str) -> None:
     wrong, words = REFUSED[case]
     with pytest.raises(TableError, match=f"reconstruction.json.*{words}"):
         read_opensfm(file(wrong), height_datum="ellipsoid")
+
+
+# The projection types of OpenSfM's `geometry/src/camera_instances.cc` and `io.py` that are not those of a plane.
+NOT_PLANE = ("fisheye", "fisheye_opencv", "fisheye62", "fisheye624", "dual", "spherical", "equirectangular")
+
+
+@pytest.mark.parametrize("kind", NOT_PLANE)
+def test_cameras_without_an_image_plane_are_named_with_a_way_out(file, kind: str) -> None:
+    lens = {"projection_type": kind, "width": 1368, "height": 912}
+    path = file(content(cameras={"v2 brown": BROWN, "old": lens}))
+    with pytest.raises(TableError, match=f"cameras, old: projection_type '{kind}' is not read: undistort") as refusal:
+        read_opensfm(path, height_datum="ellipsoid")
+    assert "\n" not in str(refusal.value)
+    unused = file(content(cameras={"v2 brown": BROWN, "old": PERSPECTIVE, "not used": lens}))
+    assert list(read_opensfm(unused, height_datum="ellipsoid").cameras) == ["v2 brown", "old"]
 
 
 def test_what_the_caller_gives_wrong(file, tmp_path: pathlib.Path) -> None:
