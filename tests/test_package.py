@@ -50,6 +50,7 @@ OF_PACKAGE = (
     "plot",
     "report",
     "gis",
+    "logs",
     "orthority",
     "stac",
     "video",

@@ -33,7 +33,7 @@ PACKAGES = (
     "pyogrio",
     "shapely",
 )
-EXTRAS = ("plot", "report", "gis", "video", "orthority", "cluster", "stac", "xarray")
+EXTRAS = ("plot", "report", "gis", "video", "logs", "orthority", "cluster", "stac", "xarray")
 DRIVERS = {"GTiff": "elevation models, orthoimages", "COG": "--cog", "VRT": "mosaics of tiles", "PNG": "images",
            "JPEG": "images", "JP2OpenJPEG": "JPEG 2000 images"}  # fmt: skip
 VECTORS = {"GeoJSON": "-o x.geojson", "GPKG": "-o x.gpkg"}

@@ -222,6 +222,8 @@ READERS: dict[str, Callable[[pathlib.Path], Any]] = {
     "flight log": acquisitions.read_airdata,
     "flight log of Litchi": lambda path: acquisitions.read_litchi(path, takeoff_height=0.0),
     "flight log of Flight Reader": acquisitions.read_flight_reader,
+    "flight log of ArduPilot": lambda path: acquisitions.read_ardupilot(path, takeoff_height=0.0),
+    "flight log of PX4": acquisitions.read_px4,
     "model of COLMAP": lambda path: acquisitions.read_colmap(path, crs="EPSG:4978", height_datum=0.0),
     "orientation of MicMac": lambda path: acquisitions.read_micmac(path, crs="EPSG:4978", height_datum=0.0),
     "camera parameters of Pix4D": lambda path: acquisitions.read_pix4d(path, crs="EPSG:4978", height_datum=0.0),

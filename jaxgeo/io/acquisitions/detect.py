@@ -18,6 +18,10 @@ from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
 from jaxgeo.io.acquisitions.airdata import read_airdata
+from jaxgeo.io.acquisitions.ardupilot import BINARY as DATAFLASH
+from jaxgeo.io.acquisitions.ardupilot import FORM as ARDUPILOT_FORM
+from jaxgeo.io.acquisitions.ardupilot import TEXT as DATAFLASH_TEXT
+from jaxgeo.io.acquisitions.ardupilot import read_ardupilot
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.colmap import FORM as COLMAP_FORM
 from jaxgeo.io.acquisitions.colmap import files_of_model, is_colmap, read_colmap
@@ -33,6 +37,8 @@ from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.pix4d import FORM as PIX4D_FORM
 from jaxgeo.io.acquisitions.pix4d import files_of_parameters, read_pix4d
 from jaxgeo.io.acquisitions.positions import with_table
+from jaxgeo.io.acquisitions.px4 import FORM as PX4_FORM
+from jaxgeo.io.acquisitions.px4 import MAGIC, read_px4
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
@@ -71,7 +77,7 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
     an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
     model, MicMac orientations or Pix4D camera parameters (folder or file), Metashape cameras (XML), DJI video
-    subtitles, flight logs (AirData, Litchi, Flight Reader), a scene.
+    subtitles, flight logs (AirData, Litchi, Flight Reader, ArduPilot, PX4), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
@@ -207,6 +213,14 @@ def _is_colmap(path: pathlib.Path, head: bytes) -> bool:
     return is_colmap(head)
 
 
+def _is_ardupilot(path: pathlib.Path, head: bytes) -> bool:
+    return head.startswith(DATAFLASH) or (head.startswith(DATAFLASH_TEXT) and _is_text(head))
+
+
+def _is_px4(path: pathlib.Path, head: bytes) -> bool:
+    return head.startswith(MAGIC)
+
+
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
     return UAS_LOCAL_SET in head or is_transport_stream(head) or bool(other_sets(head))
 
@@ -302,6 +316,8 @@ ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientati
 ORTHORITY_OR_TABLE = ORIENTATIONS._replace(takes=(*ORIENTATIONS.takes, "interior"))
 FORMS = (
     DRONE_IMAGES,
+    Form(ARDUPILOT_FORM, _is_ardupilot, read_ardupilot, FLIGHT_LOG),
+    Form(PX4_FORM, _is_px4, read_px4, ("height_datum", "camera", "cameras")),
     Form("MISB ST 0601 telemetry", _is_telemetry, read_telemetry, TELEMETRY),
     Form("scene file", _is_scene, _of_scene, ()),
     Form("subtitle file of DJI", _is_subtitles, read_dji_subtitles, FLIGHT_LOG),
