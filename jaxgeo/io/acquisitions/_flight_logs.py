@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -105,6 +106,7 @@ def acquisition_of_records(
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,
         of_camera=not of_body,
+        start=next((record.time for record in records if math.isfinite(record.time)), None) if timed else None,
     )
 
 

@@ -16,6 +16,7 @@ from jaxgeo.io._orientation_columns import ALIASES, KNOWN
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
+from jaxgeo.io.acquisitions._by_time import by_time
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.ardupilot import BINARY as DATAFLASH
@@ -81,11 +82,13 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
-    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, a camera name
-    (orientations, parameters, reconstructions), or a lens or file as for images (telemetry, orientations, logs);
-    `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
-    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for an unknown kind of file, and for
-    an option that its reader does not accept; `FileNotFoundError`; and as the readers.
+    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `times`, such as "00:01:23", "83.5" or
+    "2024-05-10T10:20:31Z": exposures at these times, interpolated (telemetry, subtitles, flight logs but those of
+    photos); `crs` and `camera`, a camera name (orientations, parameters, reconstructions), or a lens or file as for
+    images (telemetry, orientations, logs); `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and
+    `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises `TableError`
+    for an unknown kind of file, and for an option that its reader does not accept; `FileNotFoundError`; and as the
+    readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -300,7 +303,7 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
     return bool(np.all(np.isfinite(first)) and np.all(turns))
 
 
-TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera")
+TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera", "times")
 PLACED = ("height_datum", "crs", "camera")
 IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
@@ -310,23 +313,26 @@ PIX4D = Form(PIX4D_FORM, _has(b"camera matrix K [3x3]"), read_pix4d, PLACED)
 OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)")
 OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw")
 OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "custom.updatetime [local]")
-FLIGHT_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
+PHOTO_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
+FLIGHT_LOG = (*PHOTO_LOG, "times")
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
 ORTHORITY_OR_TABLE = ORIENTATIONS._replace(takes=(*ORIENTATIONS.takes, "interior"))
 FORMS = (
     DRONE_IMAGES,
-    Form(ARDUPILOT_FORM, _is_ardupilot, read_ardupilot, FLIGHT_LOG),
+    Form(ARDUPILOT_FORM, _is_ardupilot, read_ardupilot, PHOTO_LOG),
     Form(PX4_FORM, _is_px4, read_px4, ("height_datum", "camera", "cameras")),
-    Form("MISB ST 0601 telemetry", _is_telemetry, read_telemetry, TELEMETRY),
+    Form("MISB ST 0601 telemetry", _is_telemetry, by_time(read_telemetry), TELEMETRY),
     Form("scene file", _is_scene, _of_scene, ()),
-    Form("subtitle file of DJI", _is_subtitles, read_dji_subtitles, FLIGHT_LOG),
-    Form("flight log of AirData", _is_log("latitude", "longitude", one_of=OF_AIRDATA), read_airdata, FLIGHT_LOG),
-    Form("flight log of Litchi", _is_log("latitude", "longitude", one_of=OF_LITCHI), read_litchi, FLIGHT_LOG),
+    Form("subtitle file of DJI", _is_subtitles, by_time(read_dji_subtitles), FLIGHT_LOG),
+    Form(
+        "flight log of AirData", _is_log("latitude", "longitude", one_of=OF_AIRDATA), by_time(read_airdata), FLIGHT_LOG
+    ),
+    Form("flight log of Litchi", _is_log("latitude", "longitude", one_of=OF_LITCHI), by_time(read_litchi), FLIGHT_LOG),
     Form(
         "flight log of Flight Reader",
         _is_log("osd.latitude", "osd.longitude", one_of=OF_FLIGHT_READER),
-        read_flight_reader,
+        by_time(read_flight_reader),
         FLIGHT_LOG,
     ),
     Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
