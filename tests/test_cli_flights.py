@@ -1,12 +1,15 @@
-"""Flights of `jaxgeo plan`: from the exposures of a file as from navigation records; what is none is refused."""
+"""Flights of `jaxgeo plan` from the exposures of a file, and footprints of such exposures on level ground."""
 
 from __future__ import annotations
 
+import json
 import pathlib
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from jaxgeo.cli import app
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._flights import flight_of
 from jaxgeo.io import read_navigation, read_observations
@@ -61,3 +64,25 @@ def test_what_is_no_flight_is_refused(
     with pytest.raises(UserError, match=words) as refusal:
         flight_of(observed)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.costly
+def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Path) -> None:
+    """Straight down the scale is the height above the ground over the focal length."""
+    line = ["footprint", str(log(tmp_path, ("31.000",), (0,))), "--takeoff-height", "600", "--camera", CAMERA]
+    result = CliRunner().invoke(app, [*line, "--ground", "500", "--json"])
+    assert result.exit_code == 0, result.output
+    (found,) = json.loads(result.stdout)["footprints"]
+    scale = 400.0 * 2.41e-6 / 8.8e-3  # m of the ground in a pixel
+    assert found["area_km2"] == pytest.approx(
+        1e-6 * 5472 * 3648 * scale**2, rel=3e-4
+    )  # the area is that on the ellipsoid, below
+    assert found["columns_m"] == pytest.approx(scale, rel=1e-4)
+    for wrong, words in (
+        ([], "give the ground: either --dem FILE, or --ground HEIGHT"),
+        (["--ground", "reported"], "--ground 'reported': expected a height in m"),
+        (["--ground", "1", "--nodata", "0"], "--nodata"),
+    ):
+        refused = CliRunner().invoke(app, [*line, *wrong])
+        assert refused.exit_code == 2
+        assert words in refused.stderr

@@ -110,8 +110,8 @@ class GroundOptions(DemOptions):
         typer.Option(
             "--ground",
             metavar="HEIGHT",
-            help="Level ground instead of --dem: height in m above the ellipsoid or --dem-datum; or 'reported': "
-            "the frame centre height in the telemetry.",
+            help="Level ground instead of --dem: height in m above the ellipsoid or --dem-datum; for locate and others "
+            "of pixels also 'reported': the frame centre height in the telemetry.",
             rich_help_panel=SEEN,
         ),
     ] = None
