@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxgeo._text_numbers import number_in
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions.record import Acquisition, Reported
 from jaxgeo.io.errors import TableError
 from jaxgeo.sensor import Pose, Shot
@@ -121,7 +122,7 @@ def _seconds(found: Acquisition, written: str | float, start: float) -> float:
 def _check_inside(found: Acquisition, written: str | float, at: float, clock: np.ndarray, start: float) -> None:
     low, high = float(clock.min()), float(clock.max())
     if not low - SAME <= at <= high + SAME:
-        times = "" if not found.time_is_utc else f" ({_iso(low)} to {_iso(high)})"
+        times = "" if not found.time_is_utc else f" ({utc_text(low)} to {utc_text(high)})"
         raise TableError(
             f'{found.path}: times="{written}" is outside the file; its exposures are from {_shown(low - start)} to '
             f"{_shown(high - start)}{times}."
@@ -176,10 +177,5 @@ def _shown(seconds: float) -> str:
     return f"{sign}{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}{fraction}"
 
 
-def _iso(time: float) -> str:
-    moment = datetime.datetime.fromtimestamp(time, datetime.UTC).replace(tzinfo=None)
-    return f"{moment.isoformat(timespec='milliseconds')}Z"
-
-
 def _utc_shown(found: Acquisition, start: float) -> str:
-    return f", {_iso(start)}" if found.time_is_utc else ""
+    return f", {utc_text(start)}" if found.time_is_utc else ""
