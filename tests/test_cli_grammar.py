@@ -215,6 +215,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "locate images --detections found.csv --pixel-origin corner --anchor bottom",
     "report images --detections found.csv --pixel-origin corner --anchor bottom -o out.html",
     "inspect video.ts --stream 1 --time 00:00:01",
+    "inspect flight.klv -o track.gpx",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
     "inspect images --positions geo.txt",

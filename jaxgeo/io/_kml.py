@@ -81,7 +81,7 @@ def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
     _text(element, "styleUrl", f"#{mark.style}")
     data = ET.SubElement(ET.SubElement(element, "ExtendedData"), "SchemaData", schemaUrl=f"#{schema}")
     for name, value in known.items():
-        ET.SubElement(data, "SimpleData", name=_checked(name)).text = _checked(value)
+        ET.SubElement(data, "SimpleData", name=checked_text(name)).text = checked_text(value)
     if isinstance(mark.place, BaseGeometry):
         parts = shapely.get_parts(mark.place)
         parent = element if len(parts) == 1 else ET.SubElement(element, "MultiGeometry")
@@ -130,7 +130,7 @@ def _schema(document: ET.Element, schema_id: str, tables: Sequence[Mapping[str, 
     schema = ET.SubElement(document, "Schema", name=schema_id, id=schema_id)
     for name, found in kinds.items():
         kind = float if found == {int, float} else next(iter(found)) if len(found) == 1 else str
-        ET.SubElement(schema, "SimpleField", type=TYPES[kind], name=_checked(name))
+        ET.SubElement(schema, "SimpleField", type=TYPES[kind], name=checked_text(name))
 
 
 def _shown(value: Any) -> str:
@@ -143,10 +143,11 @@ def _shown(value: Any) -> str:
 
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = _checked(text)
+    ET.SubElement(parent, tag).text = checked_text(text)
 
 
-def _checked(text: str) -> str:
+def checked_text(text: str) -> str:
+    """The text. Raises `ValueError` for a character that XML cannot hold."""
     wrong = NO_XML.search(text)
     if wrong is not None:
         raise ValueError(f"KML cannot hold the character {wrong.group()!r} of the text {text[:60]!r}; take it out.")
