@@ -189,6 +189,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     MANY,
     *MANY_MORE,
     f"locate {SCENE} {READING}",
+    f"locate {SCENE} -o fixes.gpkg --style",
     f"report {SCENE} {READING} -o out.html",
     f"footprint {SCENE} {READING}",
     f"point {SCENE} --target 36.27,-84.268 {READING}",

@@ -48,6 +48,7 @@ class FixTable(NamedTuple):
     carried: frozenset[str]
     metadata: Mapping[str, Any]
     detected: tuple[BaseGeometry | None, ...] = ()  # outlines of what was detected; empty if there are none
+    style: bool = False  # whether a GeoPackage holds a style
 
     @property
     def points(self) -> list[BaseGeometry | None]:
@@ -148,7 +149,7 @@ def _geopackage(table: FixTable) -> bytes:
     if seen:
         layers["detections"] = Layer(seen, table.chart.flat, "Unknown")
     with tempfile.TemporaryDirectory() as folder:
-        return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata)
+        return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata, style=table.style)
 
 
 def as_parquet(table: FixTable, types: Mapping[str, str] | None = None) -> bytes:
@@ -214,4 +215,5 @@ WRITERS: dict[str, Callable[[FixTable], bytes]] = {
     ".kml": _kml,
     ".kmz": _kmz,
 }
+STYLED = (".gpkg", ".geojson", ".json")
 KML_WRITERS = (_kml, _kmz)  # with a fixed CRS
