@@ -135,6 +135,7 @@ def test_a_gimbal_straight_down_keeps_its_heading(tmp_path: pathlib.Path) -> Non
 REFUSED = {
     "no photo.bin": (dataflash([]), "there is no message CAM"),
     "no photo.ulg": (ulog([]), "there is no camera_capture"),
+    "noise.bin": (dataflash([AT]).replace(b"\xa3\x95\xa0", b"abc"), "there is no message CAM"),
     "cut.log": (dataflash_text([AT])[:40], "damaged, or no log of ArduPilot|there is no message CAM"),
     "nowhere.ulg": (ulog([[0.0, 0.0, 0.0, 0.0]]), "no record tells where the camera was"),
     "far.bin": (dataflash([AT | {"Lat": 200.0}]), "photo 7: lat 200 is outside"),

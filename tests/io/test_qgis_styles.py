@@ -24,8 +24,8 @@ COLUMNS = ["id", "f_table_catalog", "f_table_schema", "f_table_name", "f_geometr
            "styleSLD", "useAsDefault", "description", "owner", "ui", "update_time"]  # fmt: skip
 
 
-def write(path: pathlib.Path, **more: bool) -> None:
-    write_fixes(path, made(), cov_enu=np.stack([LEVEL] * 3), **more)
+def write(path: pathlib.Path, style: bool = False) -> None:
+    write_fixes(path, made(), cov_enu=np.stack([LEVEL] * 3), style=style)
 
 
 def check_style(text: str) -> None:

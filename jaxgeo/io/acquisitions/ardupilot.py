@@ -101,7 +101,7 @@ def read_ardupilot(
 
 def _messages(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]], int]:
     """(fields of messages CAM, those of MNT, number of messages TRIG)."""
-    reader = _pymavlink()
+    readers = _pymavlink()
     check_regular(path, TableError)
     with open(path, "rb") as file:
         is_binary = file.read(len(BINARY)) == BINARY
@@ -109,7 +109,7 @@ def _messages(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
     silent = contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO())
     try:
         with silent[0], silent[1]:  # it prints what it cannot read
-            log = (reader.DFReader_binary if is_binary else reader.DFReader_text)(os.fspath(path))
+            log = readers[is_binary](os.fspath(path))
             with contextlib.closing(log):
                 while (message := log.recv_match(type=list(found))) is not None:
                     found[message.get_type()].append(message.to_dict())
@@ -119,12 +119,20 @@ def _messages(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
     return found["CAM"], found["MNT"], len(found["TRIG"])
 
 
-def _pymavlink() -> Any:
+def _pymavlink() -> tuple[Any, Any]:
+    """The readers of text and of binary logs."""
     try:
         from pymavlink import DFReader
     except ImportError as error:
         raise ImportError("Logs of ArduPilot are read by pymavlink: pip install 'jaxgeo[logs]'.") from error
-    return DFReader
+
+    class Binary(DFReader.DFReader_binary):
+        """The reader with its index made in Python, which takes as long; the compiled one prints past `sys.stderr`."""
+
+        def init_arrays_fast(self, progress_callback: Any = None) -> None:
+            self.init_arrays(progress_callback)
+
+    return DFReader.DFReader_text, Binary
 
 
 def _names(photos: Sequence[Mapping[str, Any]]) -> list[str]:

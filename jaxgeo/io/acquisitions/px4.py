@@ -50,13 +50,13 @@ def read_px4(
     require_x64()
     topics = _topics(path)
     photos = topics.get(PHOTOS)
-    if not photos or not len(photos["timestamp"]):
+    if not photos or not any(len(column) for column in photos.values()):
         raise TableError(f"{path}: there is no {PHOTOS}, of a photo; PX4 logs it where a camera trigger is set up.")
     lacking = [name for name in NEEDED if name not in photos]
     if lacking:
         raise TableError(f"{path}: its {PHOTOS} has no {', '.join(lacking)}.")
     topic = next((one for one in MOUNTS if one in topics), None)
-    count = len(photos["timestamp"])
+    count = len(photos["lat"])
     numbers = photos.get("seq", np.arange(count))
     names = numbers if len(np.unique(numbers)) == count else np.arange(count)
     rows = [{name: column[k].item() for name, column in photos.items()} for k in range(count)]
