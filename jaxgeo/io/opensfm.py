@@ -22,7 +22,7 @@ from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
-from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
+from jaxgeo.sensor import BrownConrady, Fisheye, FrameCamera, Pose
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR, R_ned_from_map
 
 TOPOCENTRIC = "topocentric"
@@ -35,9 +35,12 @@ PROJECTIONS = {
     "simple_radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1",)),
     "radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2")),
     "brown": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2", "k3", "p1", "p2")),
+    "fisheye": (("focal", "focal"), (), ("k1", "k2")),
+    "fisheye_opencv": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2", "k3", "k4")),
 }
-# Its others. Their rays are no tangents of angles, and some have more than half a sphere of them.
-UNREAD = ("fisheye", "fisheye_opencv", "fisheye62", "fisheye624", "dual", "spherical", "equirectangular")
+FISHEYES = ("fisheye", "fisheye_opencv")
+# Its others: more terms, or more than half a sphere.
+UNREAD = ("fisheye62", "fisheye624", "dual", "spherical", "equirectangular")
 WAY_OUT = "undistort the images (opensfm undistort), and read the reconstruction that this writes"
 
 
@@ -99,9 +102,10 @@ def read_opensfm(
       whole metres in UTM, as OpenDroneMap chooses it; else topocentric by default.
     - `part`: which of several reconstructions in the file, from 0; required if there are more than one.
 
-    Projections: perspective, simple_radial, radial, brown, with the distortion as `BrownConrady` by the same formula.
+    Projections: perspective, simple_radial, radial, brown, with the distortion as `BrownConrady` by the same formula,
+    and fisheye, fisheye_opencv as `Fisheye`, of which rays within 90 deg of the axis are read.
     Raises `TableError`, the key named, for values that are missing, not numbers or repeated, another projection of a
-    camera with shots (fisheye, dual, spherical and others), a shot of an unknown camera, a file that is truncated or
+    camera with shots (dual, spherical and others), a shot of an unknown camera, a file that is truncated or
     not JSON; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
@@ -176,7 +180,8 @@ def _camera(where: str, camera: Any) -> FrameCamera:
     longer, centre = max(width, height), np.array([width - 1, height - 1]) / 2.0
     focal = np.array([number_of(where, camera, key) for key in focal_keys])
     offset = np.array([number_of(where, camera, key, 0.0) for key in offset_keys] or [0.0, 0.0])
-    distortion = BrownConrady(**{key: number_of(where, camera, key, 0.0) for key in coefficients})
+    lens = Fisheye if kind in FISHEYES else BrownConrady
+    distortion = lens(**{key: number_of(where, camera, key, 0.0) for key in coefficients})
     if np.any(focal <= 0.0):
         raise TableError(f"{where}: focal lengths must be positive; got {focal.tolist()}.")
     principal_px = centre + longer * offset
