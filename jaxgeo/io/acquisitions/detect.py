@@ -50,6 +50,7 @@ from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes read for detection
 IMAGES = (b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # JPEG, TIFF and BigTIFF in both orders
+MP4 = b"ftyp"  # after the length of the first box
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
 
@@ -144,6 +145,11 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     for form in FORMS:
         if form.is_one(place, head):
             return form
+    if head[4:8] == MP4:
+        raise TableError(
+            f"{path}: this is a video (MP4 or MOV), of which no telemetry is read. Give the subtitle file (.SRT) that "
+            f"the drone wrote beside it, or its subtitles as such a file: ffmpeg -i VIDEO -map 0:s:0 clip.srt."
+        )
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
