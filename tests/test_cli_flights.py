@@ -70,8 +70,10 @@ def test_what_is_no_flight_is_refused(
 def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Path) -> None:
     """Straight down the scale is the height above the ground over the focal length."""
     line = ["footprint", str(log(tmp_path, ("31.000",), (0,))), "--takeoff-height", "600", "--camera", CAMERA]
-    result = CliRunner().invoke(app, [*line, "--ground", "500", "--json"])
+    output = tmp_path / "footprints.geojson"
+    result = CliRunner().invoke(app, [*line, "--ground", "500", "--json", "-o", str(output), "--style"])
     assert result.exit_code == 0, result.output
+    assert "SimpleFill" in output.with_suffix(".qml").read_text(encoding="utf-8")
     (found,) = json.loads(result.stdout)["footprints"]
     scale = 400.0 * 2.41e-6 / 8.8e-3  # m of the ground in a pixel
     assert found["area_km2"] == pytest.approx(
@@ -80,6 +82,7 @@ def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Pat
     assert found["columns_m"] == pytest.approx(scale, rel=1e-4)
     for wrong, words in (
         ([], "give the ground: either --dem FILE, or --ground HEIGHT"),
+        (["--ground", "1", "--style"], "--style needs --output FILE"),
         (["--ground", "reported"], "--ground 'reported': expected a height in m"),
         (["--ground", "1", "--nodata", "0"], "--nodata"),
     ):

@@ -199,7 +199,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
     f"footprint FILE --dem dem.tif {FILE}",
-    f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE}",
+    f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
     f"overlap FILE --dem dem.tif {FILE}",
     f"scene FILE {FILE} --scene camera.toml --camera-datum ellipsoid -o out.toml",

@@ -56,6 +56,9 @@ def footprint_command(
     edges: Annotated[bool, typer.Option("--edges", help="Also write lines along visible and over hidden ground.")] = (
         False
     ),
+    style: Annotated[
+        bool, typer.Option("--style", help="With --output: also a style for QGIS, in a .gpkg, or beside it (.qml).")
+    ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -65,12 +68,14 @@ def footprint_command(
     with report_errors(debug):
         if output is not None:
             _check_output(output)
+        elif style:
+            raise UserError(f"--style needs --output FILE ({', '.join(ENDINGS)}).")
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         given.check(how)
         check_ground(ground)
         check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
-        exposures, rows, outlines = _footprint((given, how), ground, output, (crs, tolerance, edges))
+        exposures, rows, outlines = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
         _show(exposures, rows, outlines, inputs if as_json else None)
     if not any(row["status"] == HIT for row in rows):
         raise typer.Exit(NO_ANSWER)
@@ -86,7 +91,7 @@ def _footprint(
     of: tuple[ExposureOrShotOptions, ReadingOptions],
     ground: GroundOptions,
     output: pathlib.Path | None,
-    drawn: tuple[str, float, bool],
+    drawn: tuple[str, float, bool, bool],
 ) -> tuple[GivenExposures, list[dict[str, Any]], list[Any]]:
     """(exposures, table rows, footprints), written to `output` if given."""
     from jaxgeo._checks import enable_x64
@@ -95,7 +100,7 @@ def _footprint(
 
     compile_quickly()
     enable_x64()
-    crs, tolerance, edges = drawn
+    crs, tolerance, edges, style = drawn
     given, how = of
     found = given.read(how, "a footprint without --shots")
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
@@ -108,7 +113,7 @@ def _footprint(
         outlines.append(outline)
         rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
-        write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges)
+        write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
     return found, rows, outlines
 
 

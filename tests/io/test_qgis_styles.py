@@ -13,11 +13,15 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pyogrio
+import pyproj
 import pytest
+import shapely
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import write_fixes
+from jaxgeo.io._features import Feature, encoded
+from jaxgeo.io._qgis import styled
 from tests.support.made_fixes import LEVEL, made
 
 COLUMNS = ["id", "f_table_catalog", "f_table_schema", "f_table_name", "f_geometry_column", "styleName", "styleQML",
@@ -61,6 +65,17 @@ def test_a_geopackage_has_the_style_of_each_layer(tmp_path: pathlib.Path) -> Non
         one, other = (pyogrio.read_info(each, layer=layer) for each in (path, plain))
         assert (one["features"], one["fields"].tolist()) == (other["features"], other["fields"].tolist())
     assert "layer_styles" not in pyogrio.list_layers(plain)[:, 0]
+
+
+def test_a_geopackage_in_memory_is_styled_too(tmp_path: pathlib.Path) -> None:
+    """As that of footprints."""
+    feature = Feature(shapely.box(8.0, 47.0, 8.1, 47.1), {"status": "hit"})
+    content = encoded("a.gpkg", "GPKG", "footprints", [feature], ["status"], pyproj.CRS(4326))
+    path = tmp_path / "a.gpkg"
+    path.write_bytes(styled(content, ["footprints"]))
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        assert base.execute("SELECT f_table_name FROM layer_styles").fetchall() == [("footprints",)]
+    assert pyogrio.read_info(path, layer="footprints")["features"] == 1
 
 
 def test_geojson_has_its_style_beside_it(tmp_path: pathlib.Path) -> None:
