@@ -187,7 +187,7 @@ class LocateOptions:
             reading.positions,
         ]
         files: list[str | pathlib.Path] = [one for one in named if one is not None]
-        files += [reading.camera] if reading.camera is not None and reading.camera.lower().endswith((".toml", ".cam")) else []
+        files += [one for one in (reading.camera,) if one is not None and one.lower().endswith((".toml", ".cam"))]
         for folder in [pathlib.Path(one) for one in files if pathlib.Path(one).is_dir()]:
             files += sorted(folder.iterdir())
         return [*files, *(terrain_files(self.ground.dem, self.ground) if self.ground.dem else [])]
