@@ -69,6 +69,8 @@ if TYPE_CHECKING:
     from jaxgeo import adjust, cluster, coverage, io, ortho, plot, register
     from jaxgeo.terrain import Bisection
 
+    __version__: str
+
 __all__ = [
     "WGS84",
     "Atmosphere",
@@ -138,6 +140,8 @@ _ON_DEMAND = (
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version()
     if name in _ON_DEMAND:
         return importlib.import_module(f"{__name__}.{name}")
     if name == "Bisection":  # with the searches of the literature, loaded when first used
@@ -145,5 +149,16 @@ def __getattr__(name: str) -> Any:
     return _renamed(name)
 
 
+def _version() -> str:
+    from importlib import metadata
+
+    try:
+        return metadata.version(__name__)
+    except metadata.PackageNotFoundError:
+        raise AttributeError(
+            "jaxgeo is not installed, so it has no version; pip install it, or -e its folder."
+        ) from None
+
+
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ON_DEMAND, "Bisection"})
+    return sorted({*globals(), *_ON_DEMAND, "Bisection", "__version__"})

@@ -90,3 +90,18 @@ def test_the_first_fix_is_right_and_a_wrong_one_is_told(monkeypatch) -> None:
     assert "s the first time" in fix["found"]
     monkeypatch.setattr(doctor, "CLOSE", -1.0)
     assert found_by("_first_fix")["first fix"].state is State.failed
+
+
+def test_a_piped_report_has_no_blanks_at_the_ends_of_its_lines(monkeypatch) -> None:
+    def few():
+        yield doctor.Finding("a", State.ok, "1.0")
+        yield doctor.Finding("a longer name", State.absent, "not installed \x1b[31m", "pip install it")
+
+    monkeypatch.setattr(doctor, "CHECKS", (few,))
+    lines = CliRunner().invoke(app, ["doctor"]).stdout.splitlines()
+    assert lines == [
+        "ok      a              1.0",
+        "absent  a longer name  not installed \\x1b[31m",
+        "                       -> pip install it",
+        "1 ok, 1 absent, 0 failed",
+    ]

@@ -159,22 +159,25 @@ READING = (
 )
 FILE = (
     "--takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged --stream 1 "
-    "--errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --exposure a"
+    "--errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --time 1 --exposure a"
 )
 MANY = "locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
 MANY_MORE = [
     "rectify images --camera-datum ellipsoid --dem dem.tif --cluster local:1 --resume -o orthos",
     "rectify reconstruction.json --images images --camera-datum ellipsoid --dem dem.tif -o orthos",
     "rectify FILE --dem dem.tif --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
-    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
+    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --time 1 "
+    "-o out.tif",
     "report images --camera-datum ellipsoid --ground 300 --cluster local:1 -o out.html",
     "accuracy-map images --camera-datum ellipsoid --dem dem.tif --cluster local:1 --resume --exposure a -o maps",
     "accuracy-map FILE --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
-    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p -o out.tif",
+    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --time 1 "
+    "-o out.tif",
     f"accuracy-map {SCENE} {READING} -o out.tif",
     f"validate {SCENE} --points points.csv --points-datum ellipsoid --pixel-origin corner {READING} -o out.png",
     "validate FILE --points p --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 "
-    "--upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p",
+    "--upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p "
+    "--time 1",
     f"validate {SCENE} --points p --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma "
     "3px --principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --dem-datum EPSG:5773 --calibrate e.toml "
     "--each-axis --debug",
@@ -186,14 +189,17 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     MANY,
     *MANY_MORE,
     f"locate {SCENE} {READING}",
+    f"locate {SCENE} -o fixes.gpkg --style",
     f"report {SCENE} {READING} -o out.html",
     f"footprint {SCENE} {READING}",
     f"point {SCENE} --target 36.27,-84.268 {READING}",
     f"overlap {SCENE} --shots shots.csv {READING}",
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 {READING} -o out.csv",
+    f"plan FILE --dem dem.tif --overlap 0.9 {FILE} -o out.csv",
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
     f"footprint FILE --dem dem.tif {FILE}",
+    f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
     f"overlap FILE --dem dem.tif {FILE}",
     f"scene FILE {FILE} --scene camera.toml --camera-datum ellipsoid -o out.toml",
@@ -205,7 +211,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "dem --bounds -85,36,-84,37 --archive https://host/{S}{W}.tif --dem-datum EPSG:5773",
     "dem --for FILE --scene s --camera-datum EPSG:5773 --takeoff-height 8 --source-crs EPSG:32616 --camera a "
     "--image-size 64,48 --upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 "
-    "--positions p",
+    "--positions p --time 1",
     "dem --geoid EPSG:3855 --clear-cache",
     "locate images --detections found.csv --pixel-origin corner --anchor bottom",
     "report images --detections found.csv --pixel-origin corner --anchor bottom -o out.html",
@@ -216,16 +222,17 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--debug",
     f"view FILE {FILE} --camera-datum ellipsoid",
     "view images --detections found.csv --pixel-origin corner --anchor bottom",
-    "inspect video.ts --stream 1",
+    "inspect video.ts --stream 1 --time 00:00:01",
+    "inspect flight.klv -o track.gpx",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
     "inspect images --positions geo.txt",
     "locate images --positions geo.txt",
     "report images --positions geo.txt -o out.html",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3",
+    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --time 1",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 -o out.html",
+    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --time 1 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "doctor --json --debug",
     "demo -o picture.png --write-scene scene.toml --json --debug",
@@ -328,7 +335,8 @@ REFUSED = [
     (f"footprint {SCENE} --tolerence 3", r"--tolerence: .* did you mean --tolerance\? See jaxgeo footprint --help\."),
     (f"footprint {SCENE} --tolerance fine", r"--tolerance.*: expected a number\. See jaxgeo footprint --help\."),
     (f"footprint {SCENE} --tolerance", r"--tolerance: its value is missing\. See .*--help\."),
-    ("plan --dem dem.tif", r"--scene is missing: Scene file \(TOML\).*\. See jaxgeo plan --help\."),
+    ("plan --dem dem.tif --overlap 0.1 -o out.csv", r"give a FILE that jaxgeo inspect reads, or --scene SCENE\.toml\."),
+    (f"plan {SCENE} --overlap 0.1 -o out.csv", r"give --navigation FILE with a scene, or a FILE of exposures.*"),
     ("footprint --dem", r"--dem: its value is missing\. See .*--help\."),
     ("rectify --scene scene.toml", r"IMAGE is missing: The image.*\. See jaxgeo rectify --help\."),
     (f"rectify {SMALL} --band x -o a.tif", r"--band.*: expected a whole number\. See jaxgeo rectify --help\."),

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from support.autopilot_logs import AT, dataflash, ulog
 from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
 from typer.testing import CliRunner
@@ -25,6 +26,7 @@ from tests.io.test_flight_log_programs import litchi, reader
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
 from tests.io.test_micmac_orientations import calibration, orientation
+from tests.io.test_pix4d_cameras import project
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -87,8 +89,15 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
     "litchi.csv": (of_text(litchi()), "flight log of Litchi", {"takeoff_height": 54.0}),
     "reader.csv": (of_text(reader()), "flight log of Flight Reader", {"height_datum": "ellipsoid"}),
+    "flight.bin": (of_bytes(dataflash([AT])), "flight log of ArduPilot", {"takeoff_height": 54.0}),
+    "flight.ulg": (of_bytes(ulog([[1.0, 0.0, 0.0, 0.0]])), "flight log of PX4", {"height_datum": "ellipsoid"}),
     "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
     "Orientation-a.JPG.xml": (of_micmac, "orientation of MicMac", {"height_datum": "ellipsoid", "crs": ENU}),
+    "field_calibrated_camera_parameters.txt": (
+        lambda path: project(path.parent),
+        "camera parameters of Pix4D",
+        {"height_datum": "ellipsoid", "crs": ENU},
+    ),
     "images.bin": (of_colmap, "model of COLMAP", {"height_datum": "ellipsoid", "crs": ENU}),
     "micmac.txt": (
         of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),
@@ -140,7 +149,19 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
 
 
 WITH_CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
-CAMERA_GIVEN = {"eo.csv", "opk.txt", "clip.srt", "flight.csv", "litchi.csv", "reader.csv", "micmac.txt"}  # have none
+CAMERA_GIVEN = {  # have none
+    *(
+        "eo.csv",
+        "opk.txt",
+        "clip.srt",
+        "flight.csv",
+        "litchi.csv",
+        "reader.csv",
+        "micmac.txt",
+        "flight.bin",
+        "flight.ulg",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", FILES)

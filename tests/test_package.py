@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+import jaxgeo
+
 # Modules by the name of what brings them, where that is another.
 BRINGS = {
     "pillow": ("PIL",),
@@ -50,6 +52,7 @@ OF_PACKAGE = (
     "plot",
     "report",
     "gis",
+    "logs",
     "orthority",
     "stac",
     "video",
@@ -113,6 +116,11 @@ def test_pythons_are_the_same_everywhere(pyproject: dict[str, Any]) -> None:
     tried = re.search(r"python: \[(.*)\]", workflow)
     assert tried
     assert re.findall(r"3\.\d+", tried[1]) == said
+
+
+def test_the_package_tells_its_version(pyproject: dict[str, Any]) -> None:
+    assert jaxgeo.__version__ == importlib.metadata.version("jaxgeo")
+    assert "__version__" in dir(jaxgeo)
 
 
 def test_the_version_has_one_place(pyproject: dict[str, Any]) -> None:

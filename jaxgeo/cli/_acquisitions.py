@@ -50,7 +50,7 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--source-crs",
             metavar="CRS",
-            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac: also '
+            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac, Pix4D: also '
             '"EPSG:4978" or "enu:LAT,LON,HEIGHT".',
         ),
     ] = None
@@ -59,8 +59,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--camera",
             metavar="CAMERA",
-            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), or the NAME of a "
-            "camera in the file (drone images: in the camera table).",
+            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), Pix4D's .cam, or "
+            "the NAME of a camera in the file (drone images: in the camera table).",
         ),
     ] = None
     gimbal: Annotated[
@@ -104,11 +104,22 @@ class ReadingOptions(OptionGroup):
         ),
     ] = None
 
+    times: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--time",
+            metavar="TIME",
+            help="Videos, logs: exposures at HH:MM:SS or s after the start of the file, or at a UTC time "
+            "(2024-05-10T10:20:31Z); interpolated; repeatable.",
+        ),
+    ] = None
+
     @property
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `read_acquisitions`. Raises `UserError`."""
         names = ("takeoff_height", "crs", "camera", "errors", "interior", "positions")
         how: dict[str, Any] = {name: getattr(self, name) for name in names}
+        how |= {"times": self.times or None}
         how |= {"velocities": False if self.no_velocities else None}
         how |= {"upright": self.upright or None, "keep_damaged": self.keep_damaged or None, "stream": self.stream}
         if self.height_datum is not None:

@@ -110,8 +110,8 @@ class GroundOptions(DemOptions):
         typer.Option(
             "--ground",
             metavar="HEIGHT",
-            help="Level ground instead of --dem: height in m above the ellipsoid or --dem-datum; or 'reported': "
-            "the frame centre height in the telemetry.",
+            help="Level ground instead of --dem: height in m above the ellipsoid or --dem-datum; for locate and others "
+            "of pixels also 'reported': the frame centre height in the telemetry.",
             rich_help_panel=SEEN,
         ),
     ] = None
@@ -187,7 +187,7 @@ class LocateOptions:
             reading.positions,
         ]
         files: list[str | pathlib.Path] = [one for one in named if one is not None]
-        files += [reading.camera] if reading.camera is not None and reading.camera.lower().endswith(".toml") else []
+        files += [one for one in (reading.camera,) if one is not None and one.lower().endswith((".toml", ".cam"))]
         for folder in [pathlib.Path(one) for one in files if pathlib.Path(one).is_dir()]:
             files += sorted(folder.iterdir())
         return [*files, *(terrain_files(self.ground.dem, self.ground) if self.ground.dem else [])]

@@ -88,10 +88,6 @@ def _parameters_of(group: str, kind: type[OptionGroup]) -> Iterator[inspect.Para
         )
 
 
-SceneFile = Annotated[
-    pathlib.Path,
-    typer.Option("--scene", metavar="FILE", help="Scene file (TOML): camera, gimbal, mount and pose."),
-]
 SceneOfFiles = Annotated[
     pathlib.Path | None,
     typer.Option(
@@ -121,15 +117,6 @@ DemFiles = Annotated[
         "with --allow-remote; repeatable for tiles.",
     ),
 ]
-HeightDatum = Annotated[
-    str | None,
-    typer.Option(
-        "--camera-datum",
-        metavar="DATUM",
-        help='Vertical datum of the navigation: "EPSG:5773", "ellipsoid", an undulation in m (default: the scene\'s).',
-    ),
-]
-ShotsFile = Annotated[pathlib.Path | None, typer.Option("--shots", metavar="FILE", help="CSV with a shot per row.")]
 NavigationFile = Annotated[
     pathlib.Path | None,
     typer.Option("--navigation", metavar="FILE", help="CSV with a navigation record per row."),

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from jaxgeo.cli._common import NO_ANSWER, Debug, report_errors
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._console import Console
+from jaxgeo.cli._console import Console, as_text
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import working
 
@@ -33,7 +33,7 @@ PACKAGES = (
     "pyogrio",
     "shapely",
 )
-EXTRAS = ("plot", "report", "gis", "video", "orthority", "cluster", "stac", "xarray")
+EXTRAS = ("plot", "report", "gis", "video", "logs", "orthority", "cluster", "stac", "xarray")
 DRIVERS = {"GTiff": "elevation models, orthoimages", "COG": "--cog", "VRT": "mosaics of tiles", "PNG": "images",
            "JPEG": "images", "JP2OpenJPEG": "JPEG 2000 images"}  # fmt: skip
 VECTORS = {"GeoJSON": "-o x.geojson", "GPKG": "-o x.gpkg"}
@@ -225,14 +225,32 @@ CHECKS = (_versions, _libraries, _floats_and_devices, _caches, _geoids, _drivers
 
 
 def _show(found: list[Finding]) -> None:
+    console = Console()
+    if console.is_terminal:
+        _print_table(console, found)
+    else:
+        _print_lines(found)
+    counts = {state: sum(one.state is state for one in found) for state in State}
+    console.print(
+        f"{counts[State.ok]} ok, {counts[State.absent]} absent, {counts[State.failed]} failed", highlight=False
+    )
+
+
+def _print_lines(found: list[Finding]) -> None:
+    """One line for each finding, without blanks at its end; remedies below."""
+    states, names = (
+        max(map(len, words)) for words in zip(*((one.state.value, one.what) for one in found), strict=True)
+    )
+    for one in found:
+        typer.echo(as_text(f"{one.state.value:{states}}  {one.what:{names}}  {one.found}").rstrip())
+        if one.remedy:
+            typer.echo(as_text(f"{'':{states + names + 4}}-> {one.remedy}"))
+
+
+def _print_table(console: Console, found: list[Finding]) -> None:
     table = Table(box=None, show_header=False, pad_edge=False)
     styles = {State.ok: "green", State.absent: "yellow", State.failed: "bold red"}
     for one in found:
         said = one.found + (f"\n-> {one.remedy}" if one.remedy else "")
         table.add_row(f"[{styles[one.state]}]{one.state.value}[/]", one.what, said.replace("[", r"\["))
-    console = Console(width=None if Console().is_terminal else 160)
     console.print(table)
-    counts = {state: sum(one.state is state for one in found) for state in State}
-    console.print(
-        f"{counts[State.ok]} ok, {counts[State.absent]} absent, {counts[State.failed]} failed", highlight=False
-    )

@@ -17,7 +17,8 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
-from jaxgeo.cli._options import DemFiles, DemOptions
+from jaxgeo.cli._level_ground import check_ground, level_at
+from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
@@ -42,8 +43,7 @@ CAPTION = (
 
 def footprint_command(
     given: ExposureOrShotOptions,
-    dem: DemFiles,
-    reading: DemOptions = DemOptions(),
+    ground: GroundOptions,
     how: ReadingOptions = ReadingOptions(),
     output: Annotated[
         pathlib.Path | None,
@@ -56,19 +56,26 @@ def footprint_command(
     edges: Annotated[bool, typer.Option("--edges", help="Also write lines along visible and over hidden ground.")] = (
         False
     ),
+    style: Annotated[
+        bool, typer.Option("--style", help="With --output: also a style for QGIS, in a .gpkg, or beside it (.qml).")
+    ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Image footprints on the terrain: outlines for a map, areas, and ground sample distance (GSD) at the centre."""
     inputs = given_options(locals())
+    inputs |= {"ground": inputs.pop("level")} if "level" in inputs else {}
     with report_errors(debug):
         if output is not None:
             _check_output(output)
+        elif style:
+            raise UserError(f"--style needs --output FILE ({', '.join(ENDINGS)}).")
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         given.check(how)
-        check_no_overwrite("--output", output, given.inputs(how), dem, reading)
-        exposures, rows, outlines = _footprint((given, how), dem, reading, output, (crs, tolerance, edges))
+        check_ground(ground)
+        check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
+        exposures, rows, outlines = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
         _show(exposures, rows, outlines, inputs if as_json else None)
     if not any(row["status"] == HIT for row in rows):
         raise typer.Exit(NO_ANSWER)
@@ -82,10 +89,9 @@ def _check_output(output: pathlib.Path) -> None:
 
 def _footprint(
     of: tuple[ExposureOrShotOptions, ReadingOptions],
-    dem: list[str],
-    reading: DemOptions,
+    ground: GroundOptions,
     output: pathlib.Path | None,
-    drawn: tuple[str, float, bool],
+    drawn: tuple[str, float, bool, bool],
 ) -> tuple[GivenExposures, list[dict[str, Any]], list[Any]]:
     """(exposures, table rows, footprints), written to `output` if given."""
     from jaxgeo._checks import enable_x64
@@ -94,20 +100,20 @@ def _footprint(
 
     compile_quickly()
     enable_x64()
-    crs, tolerance, edges = drawn
+    crs, tolerance, edges, style = drawn
     given, how = of
     found = given.read(how, "a footprint without --shots")
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:
         check_footprint_file(output, crs, attributes, len(found.exposures))
-    terrain = read_terrain(dem, reading, found.view)
+    terrain = None if ground.level is not None else read_terrain(ground.dem or [], ground, found.view)
     outlines, rows = [], []
     for index, one in enumerate(track(found.exposures, "computing footprints")):
-        outline, row = _footprint_of(one, terrain, tolerance)
+        outline, row = _footprint_of(one, level_at(one.shot, ground) if terrain is None else terrain, tolerance)
         outlines.append(outline)
         rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
-        write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges)
+        write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
     return found, rows, outlines
 
 

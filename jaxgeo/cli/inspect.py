@@ -24,6 +24,7 @@ from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import number_table
 
 SHOWN = 5  # exposures printed
+TRACKS = (".gpx", ".kml")
 
 
 def inspect_command(
@@ -38,7 +39,8 @@ def inspect_command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Write all exposures to a table of shots (.csv), with the image centre as pixel.",
+            help="Write all exposures to a table of shots (.csv), with the image centre as pixel, or as a track with "
+            "times (.gpx, .kml).",
         ),
     ] = None,
     tags: Annotated[bool, typer.Option("--tags", help="With --json: all tags of each exposure.")] = False,
@@ -52,8 +54,8 @@ def inspect_command(
         from jaxgeo._checks import enable_x64
 
         if output is not None:
-            if output.suffix.lower() != ".csv":
-                raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
+            if output.suffix.lower() not in (".csv", *TRACKS):
+                raise UserError(f"--output {output}: {name_says(output)}; use .csv, {' or '.join(TRACKS)}.")
             check_place("--output", output)
             check_no_overwrite(
                 "--output", output, [*_files_in(files), reading.errors, reading.interior, reading.positions]
@@ -66,7 +68,12 @@ def inspect_command(
         if output is not None:
             if unstated is not None:
                 raise UserError(as_typed(unstated))
-            _write(output, found, rows)
+            if output.suffix.lower() in TRACKS:
+                from jaxgeo.io import write_track
+
+                write_track(output, found)
+            else:
+                _write(output, found, rows)
         print_unread(found.unread)
         if as_json:
             print_json("inspect", {"inputs": inputs, **_content(files, found, rows, unstated, tags)})

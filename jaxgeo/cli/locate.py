@@ -30,6 +30,7 @@ from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, print_message
 from jaxgeo.status import Status, counts_as_fix
 
+STYLED = (".gpkg", ".geojson", ".json")
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 Row = dict[str, Any]
 
@@ -75,6 +76,12 @@ class OutputOptions(OptionGroup):
         ),
     ] = None
     mgrs: Annotated[bool, typer.Option("--mgrs", help="With --output: also MGRS coordinates.")] = False
+    style: Annotated[
+        bool,
+        typer.Option(
+            "--style", help="With --output .gpkg or .geojson: also a style for QGIS, in it or beside it (.qml)."
+        ),
+    ] = False
 
     @property
     def is_file(self) -> bool:
@@ -99,6 +106,8 @@ class OutputOptions(OptionGroup):
                 )
             if self.format is not None and ending in ENDINGS and ending not in OF_FORMAT[self.format]:
                 raise UserError(f"--format {self.format.value} conflicts with --output {output}; leave one out.")
+        if self.style and (output is None or output.suffix.lower() not in STYLED or not self.is_file):
+            raise UserError(f"--style needs --output FILE ({', '.join(STYLED)}).")
         if not self.is_file and (self.crs != "EPSG:4326" or self.heights is not None or self.mgrs):
             raise UserError(f"--crs, --heights and --mgrs need --output FILE ({', '.join(ENDINGS)}).")
 
@@ -142,7 +151,7 @@ def locate_command(
         if many.cluster is not None:
             if of_images.detections is not None:
                 raise UserError(f"--detections {of_images.detections} and --cluster do not go together; leave one out.")
-            many.check_parts(True, format=writing.format is not None)
+            many.check_parts(True, format=writing.format is not None, style=writing.style)
             _locate_on_cluster(options, accuracy, probability, writing, many, as_json)
             return
         many.check_parts(False)
@@ -176,6 +185,7 @@ def _locate_all(
             attributes=[row | more for row, more in zip(_typed(inputs.observed), extra, strict=True)],
             reasons=inputs.reasons,
             rings=None if outlines is None else outlines.rings,
+            style=writing.style,
             **writing.drawn,
         )
     print_counts(Counter(row["status"] for row in rows), len(rows))

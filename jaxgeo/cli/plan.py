@@ -10,11 +10,13 @@ import typer
 
 from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import number_in
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of, view_of_shots
-from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, SceneFile
+from jaxgeo.cli._flights import FlightOptions
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, view_of_shots
+from jaxgeo.cli._options import Along, DemFiles, DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, print_counts, stderr, working
 from jaxgeo.cli.overlap import BOTH
@@ -31,9 +33,8 @@ class Place(StrEnum):
 
 
 def plan_command(
-    scene: SceneFile,
+    given: FlightOptions,
     dem: DemFiles,
-    navigation: Annotated[pathlib.Path, typer.Option(metavar="FILE", help="CSV with a navigation record per row.")],
     output: Annotated[
         pathlib.Path,
         typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv), one row per exposure."),
@@ -54,26 +55,27 @@ def plan_command(
     start: Annotated[float | None, typer.Option(help="Time of the first exposure, s (default: first record).")] = None,
     along: Along = None,
     reading: DemOptions = DemOptions(),
-    height_datum: HeightDatum = None,
+    how: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Plan exposure times on a flight for a required overlap, from navigation records; also reports the overlap.
+    """Plan exposure times on a flight for a required overlap; also reports the overlap.
 
-    Output heights are above the ellipsoid.
+    The flight is that of a scene's sensor with navigation records, or of the exposures of a FILE. Output heights are
+    above the ellipsoid.
     """
     inputs = given_options(locals())
     with report_errors(debug):
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
         check_place("--output", output)
-        check_no_overwrite("--output", output, [scene, navigation], dem, reading)
+        given.check(how)
+        check_no_overwrite("--output", output, given.inputs(how), dem, reading)
         period = _check_timing(timing, overlap, place)
         exposures = _plan(
-            (scene, navigation),
+            (given, how),
             dem,
             reading,
-            height_datum,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
             output,
@@ -108,10 +110,9 @@ def _period(timing: str, number: str, overlap: float | None) -> float:
 
 
 def _plan(
-    files: tuple[pathlib.Path, pathlib.Path],
+    of: tuple[FlightOptions, ReadingOptions],
     dem: list[str],
     reading: DemOptions,
-    height_datum: str | None,
     wishes: tuple[str, float | None, Place],
     course: tuple[float | None, Any],
     output: pathlib.Path,
@@ -122,31 +123,30 @@ def _plan(
     from jaxgeo._checks import enable_x64
     from jaxgeo.coverage import plan
     from jaxgeo.io import write_exposures
-    from jaxgeo.io.scene import read_scene
 
     compile_quickly()
     enable_x64()
-    scene_path, navigation = files
+    given, how = of
     start, along = course
-    scene = read_scene(scene_path)
-    flight = trajectory_of(scene, scene_path, navigation, height_datum)
+    of_flight = given.flight(how)
+    sensor, flight = of_flight.sensor, of_flight.trajectory
     _check_count(wishes, flight, start)
-    terrain = read_terrain(dem, reading, lambda: _view(scene, flight))
+    terrain = read_terrain(dem, reading, lambda: _view(sensor, flight))
     with working("compiling and planning"):
         found = plan(
-            scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere
+            sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=of_flight.atmosphere
         )
         shots = jax.vmap(flight.at)(found.times)
-    write_exposures(output, shots, scene.sensor.gimbal.names, overlaps=found.overlaps)
+    write_exposures(output, shots, sensor.gimbal.names, overlaps=found.overlaps)
     _summarise(found, output)
-    return _exposures(shots, scene.sensor.gimbal.names, found.overlaps)
+    return _exposures(shots, sensor.gimbal.names, found.overlaps)
 
 
-def _view(scene: Any, flight: Any) -> Any:
+def _view(sensor: Any, flight: Any) -> Any:
     import numpy as np
 
     times = np.linspace(float(flight.start), float(flight.end), ALONG)
-    return view_of_shots(scene.sensor, [(flight, time) for time in times.tolist()])
+    return view_of_shots(sensor, [(flight, time) for time in times.tolist()])
 
 
 def _check_count(wishes: tuple[str, float | None, Place], flight: Any, start: float | None) -> None:

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.scene_from_records import write_scene
     from jaxgeo.io.scene_writer import write_updated_scene
     from jaxgeo.io.tie_points import TieRow, write_tie_points
+    from jaxgeo.io.tracks import write_track
 
 __all__ = [
     "Acquisition",
@@ -124,6 +125,7 @@ __all__ = [
     "write_region",
     "write_scene",
     "write_tie_points",
+    "write_track",
     "write_updated_scene",
 ]
 
@@ -164,6 +166,7 @@ _NAMES_OF = {
     "scene_from_records": "write_scene",
     "scene_writer": "write_updated_scene",
     "tie_points": "TieRow write_tie_points",
+    "tracks": "write_track",
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 

@@ -7,6 +7,7 @@ import io
 import json
 import math
 import pathlib
+import re
 import tempfile
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ from jaxgeo.status import Status
 PLACE = ("map_x", "map_y", "map_z")  # of a table
 # Attributes of a fix that its outline does not repeat.
 POINT_ONLY = ("fix_", "slant_", "incidence_", "slope_", "cov_", "bias_", "mgrs", "vertical_datum", "status_text")
+ISO = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9})?Z")
 WGS84 = ("EPSG:4979", "EPSG:4326", "OGC:CRS84", "OGC:CRS84h")
 
 
@@ -46,6 +48,7 @@ class FixTable(NamedTuple):
     carried: frozenset[str]
     metadata: Mapping[str, Any]
     detected: tuple[BaseGeometry | None, ...] = ()  # outlines of what was detected; empty if there are none
+    style: bool = False  # whether a GeoPackage holds a style
 
     @property
     def points(self) -> list[BaseGeometry | None]:
@@ -146,7 +149,7 @@ def _geopackage(table: FixTable) -> bytes:
     if seen:
         layers["detections"] = Layer(seen, table.chart.flat, "Unknown")
     with tempfile.TemporaryDirectory() as folder:
-        return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata)
+        return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata, style=table.style)
 
 
 def as_parquet(table: FixTable, types: Mapping[str, str] | None = None) -> bytes:
@@ -161,6 +164,12 @@ def as_parquet(table: FixTable, types: Mapping[str, str] | None = None) -> bytes
     return geoparquet(columns, geometries, table.metadata, types)
 
 
+def when(row: Mapping[str, Any]) -> str | None:
+    """The time of a row as ISO 8601: its column `time_utc`, if that holds one."""
+    text = row.get("time_utc")
+    return text if isinstance(text, str) and ISO.fullmatch(text) else None
+
+
 def _kml(table: FixTable) -> bytes:
     points, areas = [], []
     for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True)):
@@ -168,15 +177,17 @@ def _kml(table: FixTable) -> bytes:
         style = "lost" if not known else "fix" if row["status"] == Status.hit.name else "uncertain"
         title = f"{row.get('name') or f'fix {i}'}"
         at = tuple(place.tolist()) if known else None
-        points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at))
+        points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at, when(row)))
         if table.outlines[i] is not None:
-            areas.append(Placemark(f"{table.kinds[i]} of {title}", "area", _outline_row(table, i), table.outlines[i]))
+            own = _outline_row(table, i)
+            areas.append(Placemark(f"{table.kinds[i]} of {title}", "area", own, table.outlines[i], when(row)))
     shapes = [
         Placemark(
             f"{table.rows[i].get('label') or 'detection'} in {table.rows[i].get('name') or i}",
             "area",
             _detected_row(table, i),
             one,
+            when(table.rows[i]),
         )
         for i, one in enumerate(table.detected)
         if one is not None
@@ -204,4 +215,5 @@ WRITERS: dict[str, Callable[[FixTable], bytes]] = {
     ".kml": _kml,
     ".kmz": _kmz,
 }
+STYLED = (".gpkg", ".geojson", ".json")
 KML_WRITERS = (_kml, _kmz)  # with a fixed CRS

@@ -16,13 +16,15 @@ from shapely.geometry.base import BaseGeometry
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
 COLOURS = {"fix": "ff00c8ff", "uncertain": "ff0080ff", "lost": "ff8080ff", "area": "4d00c8ff"}  # aabbggrr
-ICON = "http://maps.google.com/mapfiles/kml/shapes/placemark_circle.png"
+BALLOON = ("time_utc", "u", "v", "label", "score", "fix_height_m", "fix_height_msl_m", "status_text", "accuracy_text")
+RADIUS = re.compile(r"(ce|le|se)[0-9_]+_m")  # shown in balloons too
 TYPES = {bool: "bool", int: "int", float: "double", str: "string"}
 NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Placemark(NamedTuple):
-    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude, height), an area, or None.
+    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude, height), an area, or None; `when`,
+    a time as ISO 8601, or None.
 
     Degrees on WGS 84, heights in m above EGM96, as in the standard. Areas are clamped to the ground.
     """
@@ -31,10 +33,13 @@ class Placemark(NamedTuple):
     style: str
     columns: Mapping[str, Any]
     place: tuple[float, float, float] | BaseGeometry | None
+    when: str | None = None
 
 
 def kml(title: str, description: str, folders: Mapping[str, Sequence[Placemark]]) -> bytes:
-    """The document of folders of placemarks; columns are typed, and also in a readable table.
+    """The document of folders of placemarks with typed columns; balloons show what matters of them.
+
+    Styles need no files of others: markers are the viewer's own, in the colour of the style.
 
     Folders are documents with a schema each, since GDAL does not find schemas in a KMZ otherwise. Raises `ValueError`
     for a text with a character that XML cannot hold.
@@ -67,13 +72,16 @@ def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
     element = ET.SubElement(folder, "Placemark")
     _text(element, "name", mark.name)
     known = {name: _shown(value) for name, value in mark.columns.items() if value is not None}
-    cells = ((html.escape(name, quote=False), html.escape(value, quote=False)) for name, value in known.items())
+    shown = {name: value for name, value in known.items() if name in BALLOON or RADIUS.fullmatch(name)} or known
+    cells = ((html.escape(name, quote=False), html.escape(value, quote=False)) for name, value in shown.items())
     rows = (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in cells)
     _text(element, "description", f"<table>{''.join(rows)}</table>")
+    if mark.when is not None:
+        _text(ET.SubElement(element, "TimeStamp"), "when", mark.when)
     _text(element, "styleUrl", f"#{mark.style}")
     data = ET.SubElement(ET.SubElement(element, "ExtendedData"), "SchemaData", schemaUrl=f"#{schema}")
     for name, value in known.items():
-        ET.SubElement(data, "SimpleData", name=_checked(name)).text = _checked(value)
+        ET.SubElement(data, "SimpleData", name=checked_text(name)).text = checked_text(value)
     if isinstance(mark.place, BaseGeometry):
         parts = shapely.get_parts(mark.place)
         parent = element if len(parts) == 1 else ET.SubElement(element, "MultiGeometry")
@@ -105,7 +113,7 @@ def _style(document: ET.Element, name: str, colour: str) -> None:
     if name != "area":
         icon = ET.SubElement(style, "IconStyle")
         _text(icon, "color", colour)
-        _text(ET.SubElement(icon, "Icon"), "href", ICON)
+        _text(icon, "scale", "0.7")
         return
     line = ET.SubElement(style, "LineStyle")
     _text(line, "color", f"ff{colour[2:]}")
@@ -122,7 +130,7 @@ def _schema(document: ET.Element, schema_id: str, tables: Sequence[Mapping[str, 
     schema = ET.SubElement(document, "Schema", name=schema_id, id=schema_id)
     for name, found in kinds.items():
         kind = float if found == {int, float} else next(iter(found)) if len(found) == 1 else str
-        ET.SubElement(schema, "SimpleField", type=TYPES[kind], name=_checked(name))
+        ET.SubElement(schema, "SimpleField", type=TYPES[kind], name=checked_text(name))
 
 
 def _shown(value: Any) -> str:
@@ -135,10 +143,11 @@ def _shown(value: Any) -> str:
 
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = _checked(text)
+    ET.SubElement(parent, tag).text = checked_text(text)
 
 
-def _checked(text: str) -> str:
+def checked_text(text: str) -> str:
+    """The text. Raises `ValueError` for a character that XML cannot hold."""
     wrong = NO_XML.search(text)
     if wrong is not None:
         raise ValueError(f"KML cannot hold the character {wrong.group()!r} of the text {text[:60]!r}; take it out.")

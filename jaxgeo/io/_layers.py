@@ -15,6 +15,7 @@ import shapely
 
 from jaxgeo.io._features import Feature, column_of
 from jaxgeo.io._map_crs import code_of
+from jaxgeo.io._qgis import add_layer_styles
 
 
 class Layer(NamedTuple):
@@ -25,11 +26,14 @@ class Layer(NamedTuple):
     geometry_type: str
 
 
-def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metadata: Mapping[str, Any]) -> bytes:
+def geopackage(
+    name: str, path: pathlib.Path, layers: Mapping[str, Layer], metadata: Mapping[str, Any], *, style: bool = False
+) -> bytes:
     """The bytes of a GeoPackage created at `path`; `name` is the file's, for messages.
 
     Features of a layer have the same attributes, numbers, texts or bools, None if unknown. `metadata` is stored with
-    each layer, values other than texts as JSON. Raises `OSError` if GDAL fails.
+    each layer, values other than texts as JSON; with `style`, QGIS's default style of each. Raises `OSError` if GDAL
+    fails.
     """
     from pyogrio import raw  # imports pandas if installed: a quarter of a second
     from pyogrio.errors import DataLayerError, DataSourceError
@@ -54,6 +58,9 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
                 layer_metadata=texts,  # on the data set, it would make readers write an .aux.xml beside it
                 nan_as_null=False,
             )
+        if style:
+            with contextlib.closing(sqlite3.connect(path)) as base:
+                add_layer_styles(base, layers)
         _check_whole(path, layers)
         return path.read_bytes()
     except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:

@@ -22,7 +22,7 @@ from jaxgeo.status import Status, have_fix
 
 ANCHORS = ("centre", "bottom")
 PIECES = 32  # of an outline, at least: edges are straight in the image, and follow the ground in these pieces
-INPUTS = ("name", "time_s", "u", "v")  # columns of the exposures
+INPUTS = ("name", "time_s", "time_utc", "u", "v")  # columns of the exposures
 FIGURE = re.compile(r"(ce|le|se)[0-9_]+_m|semi_.*|cov_.*|bias_.*")
 
 

@@ -17,7 +17,8 @@ from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.distributions import Empirical, Mixture, StudentT, TruncatedNormal
 
 DEGREES = 180.0 / np.pi
-DIGITS = 6  # significant ones
+DIGITS = (6, 9, 12, 15, 16)  # significant ones: the fewest that give the number
+ROUNDING = 4e-16  # relative, of the change from rad to deg
 KEYS: dict[type, tuple[str, float]] = {
     sources.Position: ("position_m", 1.0),
     sources.Attitude: ("attitude_deg", DEGREES),
@@ -127,6 +128,12 @@ def _parameters(shape: Any) -> dict[str, Any] | None:
 
 
 def _value(sigma: np.ndarray, shape: dict[str, Any]) -> Any:
-    numbers = [float(f"{x:.{DIGITS}g}") for x in sigma]
+    numbers = [_written(float(x)) for x in sigma]
     value = numbers[0] if len(numbers) == 1 else numbers
     return {"sigma": value, **shape} if shape else value
+
+
+def _written(number: float) -> float:
+    """The number with the fewest digits that give it."""
+    shorter = (float(f"{number:.{digits}g}") for digits in DIGITS)
+    return next((one for one in shorter if abs(one - number) <= ROUNDING * abs(number)), number)

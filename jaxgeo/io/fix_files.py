@@ -18,13 +18,15 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_figures, rows_of
-from jaxgeo.io._fix_formats import KML_WRITERS, PLACE, WGS84, WRITERS, FixTable
+from jaxgeo.io._fix_formats import KML_WRITERS, PLACE, STYLED, WGS84, WRITERS, FixTable
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.io._outlines import outline
+from jaxgeo.io._qgis import qml
 from jaxgeo.io.geoid import EGM96, degrees_of
 from jaxgeo.status import Status
 
+STYLE = ".qml"
 TAKEN = ("kind", "detection", "mgrs", *PLACE, "crs", "vertical_datum", "fid", "geom", "geometry", "ellipse")
 UNITS = {"_m": "m", "_m2": "m^2", "_deg": "deg", "azimuth_deg": "deg clockwise from north, of the longer semi-axis"}
 
@@ -44,6 +46,7 @@ def write_fixes(
     mgrs: bool = False,
     reasons: Sequence[str | None] | None = None,
     rings: Sequence[np.ndarray | None] | None = None,
+    style: bool = False,
 ) -> None:
     """Write fixes and their accuracy to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
 
@@ -73,6 +76,9 @@ def write_fixes(
       heights above the ellipsoid in m. They are features or placemarks of kind "detection", a layer `detections`
       (.gpkg), a geometry column `detection` (.parquet), or well-known text in a column `detection` (.csv).
 
+    - `style`: also a style for QGIS, points by status and outlines without a fill: in a GeoPackage as default of its
+      layers (table `layer_styles`), of GeoJSON in a file beside it with the ending .qml.
+
     The file appears only when complete. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
     that is unknown, unsuitable or does not cover the fixes, unknown heights, and arguments that do not match the fixes;
     `VerticalDatumError` where a grid is missing; `ImportError` without the extra; `OSError` where writing fails.
@@ -94,13 +100,24 @@ def write_fixes(
     require_x64()
     target = pathlib.Path(path)
     write = _writer(target)
+    check_style(target, style)
     check_is(fixes, Fix, "fixes", "Stack many into one record, as `jax.vmap` of `locate` gives them.")
     fixes = _batch(target, fixes)
     with destination("fixes", target, binary=True) as stream:
         chart = _chart(target, crs, heights, fixes.position)
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
         table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=ellipses)
-        stream.write(write(table._replace(detected=_detected(f"{target}", chart, rings, len(table.rows)))))
+        detected = _detected(f"{target}", chart, rings, len(table.rows))
+        stream.write(write(table._replace(detected=detected, style=style)))
+    if style and target.suffix.lower() != ".gpkg":
+        with destination("style", target.with_suffix(STYLE)) as stream:
+            stream.write(qml())
+
+
+def check_style(target: pathlib.Path, style: bool) -> None:
+    """Raises `ValueError` for a style of a file that can have none."""
+    if style and target.suffix.lower() not in STYLED:
+        raise ValueError(f"{target}: only {', '.join(STYLED)} have a style for QGIS; leave style= out.")
 
 
 def check_fix_file(

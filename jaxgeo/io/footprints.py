@@ -20,10 +20,12 @@ from jaxgeo.coverage._footprint import Footprint
 from jaxgeo.io._features import Feature, encoded, has_heights
 from jaxgeo.io._outlines import line, outline, runs
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
+from jaxgeo.io._qgis import qml, styled
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.status import Status
 
 DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
+LAYER = "footprints"
 OWN = ("index", "kind", "kind_of_edge", "status", "status_text", "hidden_share", "area_m2")
 TAKEN = (*OWN, "fid", "geom", "geometry")  # the last three are reserved by GeoPackage and its readers
 WHOLE = "The whole edge of the image sees ground."
@@ -62,6 +64,7 @@ def write_footprints(
     crs: Any = "EPSG:4326",
     attributes: Sequence[Mapping[str, Any]] | None = None,
     edges: bool = False,
+    style: bool = False,
 ) -> None:
     """Write image outlines on the ground to GeoJSON (.geojson, .json) or GeoPackage (.gpkg).
 
@@ -74,6 +77,7 @@ def write_footprints(
     - `attributes`: for each footprint numbers, texts or None by name, the same names for all.
     - `edges`: also lines, of `kind` "edge", along visible ground and where the outline crosses hidden ground
       (`kind_of_edge` "seen" or "hidden"); for incomplete footprints, too.
+    - `style`: also a style for QGIS, outlines without a fill, as in `write_fixes`.
 
     The file appears only when complete. Raises `ValueError` for a path that cannot be written to, for no footprints,
     for a CRS that is unknown, unsuitable or does not cover the footprints, and for attributes that do not match;
@@ -97,7 +101,11 @@ def write_footprints(
             if edges:
                 features += _edges(index, one, places, chart, extra[index])
         names = [name for name in OWN if edges or name != "kind_of_edge"] + list(extra[0])
-        stream.write(encoded(f"{target}", driver, "footprints", features, names, chart.crs))
+        content = encoded(f"{target}", driver, LAYER, features, names, chart.crs)
+        stream.write(styled(content, (LAYER,)) if style and driver == "GPKG" else content)
+    if style and driver != "GPKG":
+        with destination("style", target.with_suffix(".qml")) as stream:
+            stream.write(qml())
 
 
 def check_footprint_file(

@@ -46,7 +46,7 @@ class Lens:
 
 
 def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | Lens | str:
-    """Parse a camera: a lens from text with "=", a camera from a .toml file, else a name.
+    """Parse a camera: a lens from text with "=", a camera from a .toml file or Pix4D's .cam, else a name.
 
     Raises `TableError` for an invalid lens, `SceneError` for a file, `FileNotFoundError`.
 
@@ -58,16 +58,21 @@ def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | 
     if isinstance(camera, FrameCamera):
         return camera
     text = os.fspath(camera)
-    if pathlib.Path(text).suffix.lower() == ".toml":
+    ending = pathlib.Path(text).suffix.lower()
+    if ending == ".toml":
         from jaxgeo.io.scene import read_camera
 
         return read_camera(text)
+    if ending == ".cam":
+        from jaxgeo.io.pix4d_camera import pix4d_camera
+
+        return pix4d_camera(text)
     return _lens(text) if "=" in text else text
 
 
 def is_a_name(camera: Any) -> bool:
     """Whether a camera is given by a name."""
-    return isinstance(camera, str) and "=" not in camera and not camera.lower().endswith(".toml")
+    return isinstance(camera, str) and "=" not in camera and not camera.lower().endswith((".toml", ".cam"))
 
 
 def _lens(text: str) -> Lens:

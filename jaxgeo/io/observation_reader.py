@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from jaxgeo._refusals import is_refusal
 from jaxgeo.earth import Atmosphere
+from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet, Unread, for_each, read_acquisition, read_acquisitions
 from jaxgeo.io.acquisitions._exposure_names import number_in_file
 from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, form_of
@@ -225,6 +226,7 @@ def _observed(
     unread = {one.place: one for one in found.unread}
     uv = [_pixels(pixels, frame_camera_of(part.sensor)) for part in found.parts]
     has_times = any(np.any(np.asarray(part.shots.time) != 0.0) for part in found.parts)
+    clocks = (has_times, has_times and any(part.time_is_utc for part in found.parts))
     lanes: list[list[tuple[int, int]]] = [[] for _ in found.parts]  # (row, exposure) of each part
     columns: list[Row] = []
     reasons: dict[int, Unread] = {}
@@ -234,13 +236,13 @@ def _observed(
     for place in chosen:
         if place in unread:
             reasons[len(columns)] = unread[place]
-            columns.append(_columns(_name(unread[place], found), math.nan, None, None, has_times))
+            columns.append(_columns(_name(unread[place], found), math.nan, None, None, clocks))
             continue
         part, index = where[place]
         for u, v in uv[part].tolist():
             lanes[part].append((len(columns), index))
             name, time = found.parts[part].names[index], found.parts[part].shots.time[index]
-            columns.append(_columns(str(name), time, u, v, has_times))
+            columns.append(_columns(str(name), time, u, v, clocks, found.parts[part].time_is_utc))
     if reasons and not any(lanes):
         raise next(iter(reasons.values())).error
     air = None if scene is None else scene.atmosphere
@@ -273,9 +275,14 @@ def _name(unread: Unread, found: AcquisitionSet) -> str:
     return unread.name if is_unique else unread.path
 
 
-def _columns(name: str, time: float, u: float | None, v: float | None, has_times: bool) -> Row:
+def _columns(
+    name: str, time: float, u: float | None, v: float | None, clocks: tuple[bool, bool], is_utc: bool = False
+) -> Row:
+    """The input columns; `clocks`: whether there are times at all, and times in UTC."""
     is_known = math.isfinite(time) and time != 0.0
-    moment = {"time_s": float(time) if is_known else None} if has_times else {}
+    moment: Row = {"time_s": float(time) if is_known else None} if clocks[0] else {}
+    if clocks[1]:
+        moment["time_utc"] = utc_text(float(time)) if is_known and is_utc else None
     return {"name": name, **moment, "u": u, "v": v}
 
 

@@ -22,7 +22,7 @@ from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
-from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
+from jaxgeo.sensor import BrownConrady, Fisheye, FrameCamera, Pose
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR, R_ned_from_map
 
 TOPOCENTRIC = "topocentric"
@@ -35,7 +35,13 @@ PROJECTIONS = {
     "simple_radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1",)),
     "radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2")),
     "brown": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2", "k3", "p1", "p2")),
+    "fisheye": (("focal", "focal"), (), ("k1", "k2")),
+    "fisheye_opencv": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2", "k3", "k4")),
 }
+FISHEYES = ("fisheye", "fisheye_opencv")
+# Its others: more terms, or more than half a sphere.
+UNREAD = ("fisheye62", "fisheye624", "dual", "spherical", "equirectangular")
+WAY_OUT = "undistort the images (opensfm undistort), and read the reconstruction that this writes"
 
 
 @dataclass(frozen=True)
@@ -96,15 +102,16 @@ def read_opensfm(
       whole metres in UTM, as OpenDroneMap chooses it; else topocentric by default.
     - `part`: which of several reconstructions in the file, from 0; required if there are more than one.
 
-    Projections: perspective, simple_radial, radial, brown, with the distortion as `BrownConrady` by the same formula.
-    Raises `TableError`, the key named, for values that are missing, not numbers or repeated, another projection, a shot
-    of an unknown camera, a file that is truncated or not JSON; `VerticalDatumError`; `FileNotFoundError`;
-    `RuntimeError` with 64-bit floats off.
+    Projections: perspective, simple_radial, radial, brown, with the distortion as `BrownConrady` by the same formula,
+    and fisheye, fisheye_opencv as `Fisheye`, of which rays within 90 deg of the axis are read.
+    Raises `TableError`, the key named, for values that are missing, not numbers or repeated, another projection of a
+    camera with shots (dual, spherical and others), a shot of an unknown camera, a file that is truncated or
+    not JSON; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
     content = _part(path, read_json(path, "reconstruction"), part)
     where = f"{path}" if part is None else f"{path}, [{part}]"
-    cameras = _cameras(f"{where}, cameras", table_of(where, content, "cameras"))
+    written = table_of(where, content, "cameras")
     shots, points = table_of(where, content, "shots"), content.get("points", {})
     if not isinstance(points, dict):
         raise TableError(f"{where}, points: expected points by name; got {shown(points)}.")
@@ -112,8 +119,12 @@ def read_opensfm(
         raise TableError(f"{where}, shots: there are none.")
     for name, shot in shots.items():
         camera = value_of(f"{where}, shots, {name}", shot, "camera")
-        if not isinstance(camera, str) or camera not in cameras:
+        if not isinstance(camera, str) or camera not in written:
             raise TableError(f"{where}, shots, {name}: camera {shown(camera)} is not among the file's cameras.")
+    used = {shot["camera"] for shot in shots.values()}
+    cameras = _cameras(
+        f"{where}, cameras", {name: one for name, one in written.items() if name in used or not _is_unread(one)}
+    )
     limits = {"rotation": LARGEST_TURN, "translation": LARGEST_DISTANCE}
     vectors = [vectors_of(f"{where}, shots", shots, key, largest) for key, largest in limits.items()]
     centres, R_world_from_camera = (np.asarray(x) for x in _from_world(*vectors))
@@ -154,17 +165,23 @@ def _cameras(where: str, table: Mapping[str, Any]) -> dict[str, FrameCamera]:
     return {name: _camera(f"{where}, {name}", camera) for name, camera in table.items()}
 
 
+def _is_unread(camera: Any) -> bool:
+    return isinstance(camera, dict) and camera.get("projection_type") in UNREAD
+
+
 def _camera(where: str, camera: Any) -> FrameCamera:
     """A camera in pixels: OpenSfM normalises by the longer side of the image, about the image centre."""
     kind = camera.get("projection_type", "perspective") if isinstance(camera, dict) else camera
     if not isinstance(kind, str) or kind not in PROJECTIONS:
-        raise TableError(f"{where}: projection_type {shown(kind)} is not read; only {', '.join(PROJECTIONS)} are.")
+        remedy = f": {WAY_OUT}." if kind in UNREAD else f"; only {', '.join(PROJECTIONS)} are."
+        raise TableError(f"{where}: projection_type {shown(kind)} is not read{remedy}")
     focal_keys, offset_keys, coefficients = PROJECTIONS[kind]
     width, height = (size_of(where, camera, key) for key in ("width", "height"))
     longer, centre = max(width, height), np.array([width - 1, height - 1]) / 2.0
     focal = np.array([number_of(where, camera, key) for key in focal_keys])
     offset = np.array([number_of(where, camera, key, 0.0) for key in offset_keys] or [0.0, 0.0])
-    distortion = BrownConrady(**{key: number_of(where, camera, key, 0.0) for key in coefficients})
+    lens = Fisheye if kind in FISHEYES else BrownConrady
+    distortion = lens(**{key: number_of(where, camera, key, 0.0) for key in coefficients})
     if np.any(focal <= 0.0):
         raise TableError(f"{where}: focal lengths must be positive; got {focal.tolist()}.")
     principal_px = centre + longer * offset

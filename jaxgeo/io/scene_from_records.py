@@ -22,7 +22,7 @@ from jaxgeo.io._schema import READINGS
 from jaxgeo.io.errors import one_line
 from jaxgeo.io.errors_writer import errors_table
 from jaxgeo.io.scene import KINDS, SceneError, read_scene
-from jaxgeo.io.scene_writer import SAME, same
+from jaxgeo.io.scene_writer import SAME, mount_keys, same
 from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor, Shot
 from jaxgeo.sensor.distortion import NoDistortion
@@ -140,14 +140,7 @@ def _as_it_is(sensor: Sensor, shot: Shot) -> Table | None:
     table: Table = {"gimbal": {"kind": kind, **_named([f"{name}_deg" for name in READINGS[kind]], readings)}}
     if not same(KINDS[kind](), sensor.gimbal):
         table["gimbal"]["limits_deg"] = np.rad2deg(np.asarray(sensor.gimbal.limits, np.float64)).tolist()
-    table["mount"] = {"camera_looks": looks}
-    base = _degrees(*heading_pitch_roll_from_R(mount.R_body_from_base))
-    if np.max(np.abs(base)) > SAME:
-        table["mount"] |= _named(("base_heading_deg", "base_pitch_deg", "base_roll_deg"), base)
-    for name in ("lever_body", "lever_head"):
-        lever = np.asarray(getattr(mount, name), np.float64)
-        if lever.any():
-            table["mount"][f"{name}_m"] = lever.tolist()
+    table["mount"] = {"camera_looks": looks, **dict(mount_keys(Mount(), mount))}
     return table | _pose(pose.position, angles, shot)
 
 

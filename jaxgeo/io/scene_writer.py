@@ -20,7 +20,7 @@ from jaxgeo.io._schema import PoseTable, SceneTable
 from jaxgeo.io.scene import SceneError, grid_convergence, metres_of_map, read_scene, transformer_of_map
 from jaxgeo.io.vertical import height_shift
 from jaxgeo.rotations import heading_pitch_roll_from_R
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Pose, Sensor, Shot
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.distortion import NoDistortion
 
 # Decimals written: about 1e-7 m for latitudes, 1e-11 rad for angles, 1e-7 m and 1e-9 pixels for lengths.
@@ -154,13 +154,20 @@ def _sensor_changes(
 
 
 def _mount_changes(before: Sensor, after: Sensor) -> Iterator[tuple[tuple[str, ...], Any]]:
-    if not same(before.mount.R_body_from_base, after.mount.R_body_from_base):
-        angles = heading_pitch_roll_from_R(jnp.asarray(after.mount.R_body_from_base))
+    for key, value in mount_keys(before.mount, after.mount):
+        is_angle = isinstance(value, float)
+        yield ("mount", key), round(value, DECIMALS_OF_ANGLES) if is_angle else _lengths(value)
+
+
+def mount_keys(before: Mount, after: Mount) -> Iterator[tuple[str, float | list[float]]]:
+    """Keys of [mount] whose values differ: angles of the gimbal's base in deg, lever arms in m."""
+    if not same(before.R_body_from_base, after.R_body_from_base):
+        angles = heading_pitch_roll_from_R(jnp.asarray(after.R_body_from_base))
         for name, angle in zip(("heading", "pitch", "roll"), angles, strict=True):
-            yield ("mount", f"base_{name}_deg"), round(float(np.rad2deg(np.asarray(angle))), DECIMALS_OF_ANGLES)
+            yield f"base_{name}_deg", float(np.rad2deg(float(np.asarray(angle))))
     for name in ("lever_body", "lever_head"):
-        if not same(getattr(before.mount, name), getattr(after.mount, name)):
-            yield ("mount", f"{name}_m"), _lengths(getattr(after.mount, name))
+        if not same(getattr(before, name), getattr(after, name)):
+            yield f"{name}_m", np.asarray(getattr(after, name), np.float64).tolist()
 
 
 def _camera_changes(

@@ -160,6 +160,13 @@ FLIGHT_READER = (
     Sentinel("camera angles", ("gimbal.yaw", "gimbal.pitch", "gimbal.roll"), all_zero, _ANGLES),
     Sentinel("camera angles", ("gimbal.yaw", "gimbal.pitch", "gimbal.roll"), is_blank, "the cells are empty"),
 )
+# Fields of ArduPilot's messages CAM, and of PX4's camera_capture.
+ARDUPILOT = (Sentinel("position", ("Lat", "Lng"), all_zero, _POSITION),)
+PX4 = (
+    Sentinel("position", ("result",), all_zero, "0 is a photo that failed"),
+    Sentinel("position", ("lat", "lon"), all_zero, _POSITION),
+    Sentinel("camera angles", ("q[0]", "q[1]", "q[2]", "q[3]"), all_zero, "an attitude that is not known is zeros"),
+)
 # Fields of DJI's photo marks (Timestamp.MRK).
 MARKS = (
     Sentinel("position", ("Q",), all_zero, "0 is no solution"),
@@ -227,6 +234,8 @@ SENTINELS: dict[str, tuple[Sentinel, ...]] = {
     "AirData": AIRDATA,
     "Litchi": LITCHI,
     "Flight Reader": FLIGHT_READER,
+    "ArduPilot": ARDUPILOT,
+    "PX4": PX4,
     "marks": MARKS,
     "SBET": SBET,
 }

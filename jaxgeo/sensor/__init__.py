@@ -34,6 +34,7 @@ from jaxgeo.sensor.distortion import (
     BrownConrady,
     BrownPhysical,
     Ebner,
+    Fisheye,
     NoDistortion,
 )
 from jaxgeo.sensor.gimbal import Gimbal
@@ -52,6 +53,7 @@ __all__ = [
     "BrownPhysical",
     "Deflection",
     "Ebner",
+    "Fisheye",
     "FrameCamera",
     "Gimbal",
     "Mount",

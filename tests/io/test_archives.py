@@ -426,6 +426,26 @@ def test_a_damaged_part_is_fetched_anew(server: Served, cache: DemCache, archive
     same_heights(fetched(server, again(cache)), by_hand(archive))
 
 
+def test_a_folder_in_the_place_of_a_part_or_an_entry_is_replaced(cache: DemCache) -> None:
+    digest, path = cache.put(b"a part", ".tif")
+    cache.set_entry("a part of a file", {"digest": digest})
+    for each in (path, *(cache.folder / "entries").iterdir()):
+        each.unlink()
+        each.mkdir()
+        (each / "in it").write_text("something else")
+    assert again(cache).object(digest, ".tif") is None
+    assert again(cache).entry("a part of a file") is None
+    mended = again(cache)
+    assert mended.put(b"a part", ".tif") == (digest, path)
+    assert path.read_bytes() == b"a part"
+    mended.set_entry("a part of a file", {"digest": digest})
+    assert again(cache).entry("a part of a file") == {"key": "a part of a file", "digest": digest}
+    path.unlink()
+    path.mkdir()
+    again(cache).clear()
+    assert not list((cache.folder / "objects").iterdir())
+
+
 @pytest.mark.costly
 def test_damaged_entries_count_as_absent(server: Served, cache: DemCache, archive: pathlib.Path) -> None:
     fetched(server, cache)

@@ -27,7 +27,7 @@ LAT, LON, TALL = 36.3, -84.2, 310.5
 WIDTH, HEIGHT = 400, 300
 ENU = f"enu:{LAT},{LON},{TALL}"
 NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5,
-           "FULL_OPENCV": 6}  # fmt: skip
+           "FULL_OPENCV": 6, "SIMPLE_RADIAL_FISHEYE": 8, "RADIAL_FISHEYE": 9}  # fmt: skip
 CAMERAS: dict[str, tuple[float, ...]] = {
     "SIMPLE_PINHOLE": (277.0, 203.5, 148.0),
     "PINHOLE": (277.0, 279.5, 203.5, 148.0),
@@ -35,6 +35,9 @@ CAMERAS: dict[str, tuple[float, ...]] = {
     "RADIAL": (277.0, 203.5, 148.0, -0.05, 0.02),
     "OPENCV": (277.0, 279.5, 203.5, 148.0, -0.05, 0.02, 0.0012, -0.0007),
     "FULL_OPENCV": (277.0, 279.5, 203.5, 148.0, -0.05, 0.02, 0.0012, -0.0007, 0.003, 0.01, -0.004, 0.001),
+    "SIMPLE_RADIAL_FISHEYE": (277.0, 203.5, 148.0, -0.05),
+    "RADIAL_FISHEYE": (277.0, 203.5, 148.0, -0.05, 0.02),
+    "OPENCV_FISHEYE": (277.0, 279.5, 203.5, 148.0, -0.05, 0.02, 0.003, -0.001),
 }
 # The camera looks down, 25 deg off nadir, the top of its image towards 110 deg; centres are 600 m above the origin.
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # right, down, forward in east, north, up
@@ -57,8 +60,12 @@ def pixel_of(model: str, parameters: tuple[float, ...], p: np.ndarray) -> np.nda
     """COLMAP's projection, and half a pixel from the corner to the centre of the first pixel."""
     x, y = p[:2] / p[2]
     r2 = x * x + y * y
-    one_focal = model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+    one_focal = model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
     fx, fy, cx, cy, *k = (parameters[0], *parameters) if one_focal else parameters
+    if model.endswith("_FISHEYE"):
+        theta = np.arctan(np.sqrt(r2))
+        far = theta * (1.0 + sum(one * theta ** (2 * i + 2) for i, one in enumerate(k))) / np.sqrt(r2)
+        return np.array([fx * far * x + cx, fy * far * y + cy]) - 0.5
     k1, k2, p1, p2, k3, k4, k5, k6 = [*k, *[0.0] * (8 - len(k))]
     radial = (1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1.0 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
     u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
@@ -203,8 +210,8 @@ def cut(folder: pathlib.Path, name: str, size: int) -> None:
 
 REFUSED: dict[str, tuple[Any, Any, str]] = {
     "fisheye": (write_text, lambda f: edit(f, "cameras.txt", "RADIAL 400 300 277.0 203.5 148.0 -0.05 0.02",
-                                           "OPENCV_FISHEYE 400 300 277 277 200 150 0 0 0 0"),
-                "camera 7: the camera model OPENCV_FISHEYE is not read"),
+                                           "FOV 400 300 277 277 200 150 0.5"),
+                "camera 7: the camera model FOV is not read"),
     "too few": (write_text, lambda f: edit(f, "cameras.txt", " 0.02\n", "\n"), "RADIAL has 5 parameters; got 4"),
     "unknown model": (write_text, lambda f: edit(f, "cameras.txt", "RADIAL", "CUBIC"), "'CUBIC' is no camera model"),
     "no size": (write_text, lambda f: edit(f, "cameras.txt", "400 300", "0 300"), "0 x 300 pixels are no size"),

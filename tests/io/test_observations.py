@@ -48,7 +48,7 @@ def test_rows_are_in_the_order_of_files_exposures_and_pixels(folder) -> None:
     names = ["flight.klv/0", "flight.klv/1", "DJI_0042.JPG", "DJI_0043.JPG"]
     assert [row["name"] for row in observed.columns] == [name for name in names for _ in PIXELS]
     assert [(row["u"], row["v"]) for row in observed.columns] == PIXELS * len(names)
-    assert all(list(row) == ["name", "time_s", "u", "v"] for row in observed.columns)
+    assert all(list(row) == ["name", "time_s", "time_utc", "u", "v"] for row in observed.columns)
     assert observed.columns[0]["time_s"] > 0.0
     assert observed.columns[4]["time_s"] is None
     assert len(observed) == 8

@@ -28,7 +28,9 @@ from jaxgeo.io import (
     undulation,
     write_orientations,
 )
+from jaxgeo.io.acquisitions import acquisition_of_opensfm
 from jaxgeo.io.orientations import Orientations
+from jaxgeo.sensor import Fisheye
 
 BROWN = {
     "projection_type": "brown", "width": 1368, "height": 912, "focal_x": 0.666, "focal_y": 0.667, "c_x": -0.0015,
@@ -36,6 +38,11 @@ BROWN = {
 }  # fmt: skip
 PERSPECTIVE = {"projection_type": "perspective", "width": 600, "height": 800, "focal": 0.9, "k1": -0.05, "k2": 0.01}
 RADIAL = {**BROWN, "projection_type": "radial"}
+FISHEYE = {"projection_type": "fisheye", "width": 600, "height": 800, "focal": 0.4, "k1": -0.03, "k2": 0.01}
+OPENCV_FISHEYE = {
+    "projection_type": "fisheye_opencv", "width": 1368, "height": 912, "focal_x": 0.37, "focal_y": 0.371,
+    "c_x": -0.0015, "c_y": 0.00475, "k1": -0.03, "k2": 0.01, "k3": -0.002, "k4": 0.0004,
+}  # fmt: skip
 LAT, LON, ALTITUDE = 24.6801, 120.9512, 12.5
 POINTS = {"1": [3.0, -4.0, 1.5], "7": [-20.0, 12.0, -2.0], "8": [15.0, 11.0, 0.0]}
 # Rotation vectors from the world (east, north, up) to a camera that looks down, more or less.
@@ -76,6 +83,10 @@ def pixel(camera: dict[str, Any], p: np.ndarray) -> np.ndarray:
     if camera["projection_type"] != "brown":
         k3 = p1 = p2 = 0.0
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    if camera["projection_type"].startswith("fisheye"):  # of the angle: FisheyeProjection, then Disto24 or Disto2468
+        theta2, k4 = np.arctan2(np.hypot(x, y), 1.0) ** 2, camera.get("k4", 0.0)
+        radial = 1.0 + theta2 * (k1 + theta2 * (k2 + theta2 * (camera.get("k3", 0.0) + theta2 * k4)))
+        radial = radial * np.sqrt(theta2 / r2) if r2 else 1.0
     xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     yd = y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)
     focal = [camera.get(key, camera.get("focal")) for key in ("focal_x", "focal_y")]
@@ -83,7 +94,9 @@ def pixel(camera: dict[str, Any], p: np.ndarray) -> np.ndarray:
     return normalised * max(camera["width"], camera["height"]) - 0.5 + np.array([camera["width"], camera["height"]]) / 2
 
 
-@pytest.mark.parametrize("camera", [BROWN, PERSPECTIVE, RADIAL], ids=lambda camera: camera["projection_type"])
+@pytest.mark.parametrize(
+    "camera", [BROWN, PERSPECTIVE, RADIAL, FISHEYE, OPENCV_FISHEYE], ids=lambda camera: camera["projection_type"]
+)
 def test_cameras_project_as_opensfm_does(file, camera: dict[str, Any]) -> None:
     cameras = read_opensfm_cameras(file({"one": camera}))
     assert list(cameras) == ["one"]
@@ -228,7 +241,7 @@ REFUSED = {
     "no shots": (content(shots=None), "shots is missing; found cameras, points"),
     "none": (content(shots={}), "shots: there are none"),
     "a list of cameras": (content(cameras=[BROWN]), r"cameras: expected a table by name; got \[\{'proj"),
-    "fisheye": (with_camera(projection_type="fisheye"), "cameras, v2 brown: projection_type 'fisheye' is not read"),
+    "other": (with_camera(projection_type="cubic"), "v2 brown: projection_type 'cubic' is not read; only perspective"),
     "no focal": (no_focal(), "cameras, old: focal is missing; found projection_type, width"),
     "focal": (with_camera(focal_x=0.0), "v2 brown: focal lengths must be positive"),
     "width": (with_camera(width=10.5), "v2 brown: width must be a whole number of pixels above zero; got 10.5"),
@@ -250,6 +263,31 @@ def test_wrong_files(file, case: str) -> None:
     wrong, words = REFUSED[case]
     with pytest.raises(TableError, match=f"reconstruction.json.*{words}"):
         read_opensfm(file(wrong), height_datum="ellipsoid")
+
+
+# The projection types of OpenSfM's `geometry/src/camera_instances.cc` and `io.py` that are not those of a plane.
+NOT_PLANE = ("fisheye62", "fisheye624", "dual", "spherical", "equirectangular")
+
+
+@pytest.mark.parametrize("kind", NOT_PLANE)
+def test_cameras_without_an_image_plane_are_named_with_a_way_out(file, kind: str) -> None:
+    lens = {"projection_type": kind, "width": 1368, "height": 912}
+    path = file(content(cameras={"v2 brown": BROWN, "old": lens}))
+    with pytest.raises(TableError, match=f"cameras, old: projection_type '{kind}' is not read: undistort") as refusal:
+        read_opensfm(path, height_datum="ellipsoid")
+    assert "\n" not in str(refusal.value)
+    unused = file(content(cameras={"v2 brown": BROWN, "old": PERSPECTIVE, "not used": lens}))
+    assert list(read_opensfm(unused, height_datum="ellipsoid").cameras) == ["v2 brown", "old"]
+
+
+def test_images_of_a_fisheye_and_of_another_lens_are_read_apart(file) -> None:
+    path = file(content(cameras={"v2 brown": BROWN, "old": OPENCV_FISHEYE}))
+    with pytest.raises(
+        TableError, match="some images are of fisheyes and some are not: 'old' a fisheye, 'v2 brown' none"
+    ):
+        acquisition_of_opensfm(path, height_datum="ellipsoid")
+    found: Any = acquisition_of_opensfm(path, height_datum="ellipsoid", camera="old")
+    assert isinstance(found.sensor.camera.distortion, Fisheye)
 
 
 def test_what_the_caller_gives_wrong(file, tmp_path: pathlib.Path) -> None:

@@ -19,7 +19,7 @@ from jaxgeo.io.scene import SceneError, load_scene, read_scene
 from jaxgeo.sensor import BrownConrady, FrameCamera
 from jaxgeo.uncertainty import ErrorModel
 from jaxgeo.uncertainty.distributions import Empirical, Laplace, Mixture, StudentT, TruncatedNormal
-from jaxgeo.uncertainty.sources import Position, TerrainField
+from jaxgeo.uncertainty.sources import Attitude, Position, TerrainField
 
 GOOD = """
 title = "a test"
@@ -484,6 +484,20 @@ def test_distributions_are_written_and_read_back(scene_file, tmp_path: pathlib.P
     for one in found.shapes:
         assert type(one) is type(shape)
         np.testing.assert_allclose(one.standardised(normal), shape.standardised(normal), rtol=1e-12, atol=1e-12)
+
+
+def test_sigmas_are_written_in_full(scene_file, tmp_path: pathlib.Path) -> None:
+    given = (
+        Position.from_ned(north=1.0 / 3.0, east=0.1 + 0.2, down=1234.56789012345),
+        Attitude.from_degrees(heading=0.05, pitch=1.0 / 7.0, roll=0.3),
+    )
+    write_errors(tmp_path / "errors.toml", ErrorModel(given))
+    text = (tmp_path / "errors.toml").read_text()
+    assert "0.05," in text  # no more digits than needed
+    model = read_scene(scene_file(GOOD + text)).errors
+    assert model is not None
+    for one, other in zip(model.sources, given, strict=True):
+        np.testing.assert_allclose(one.sigma, other.sigma, rtol=1e-15)
 
 
 def test_distributions_without_a_form_are_refused(tmp_path: pathlib.Path) -> None:

@@ -78,6 +78,12 @@ EXAMPLES: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
         pair("0", "0.5", "gimbal.yaw", "gimbal.pitch", "gimbal.roll"),
         pair("", "30", "gimbal.yaw", "gimbal.pitch", "gimbal.roll"),
     ],
+    "ArduPilot": [pair(0.0, 36.3, "Lat", "Lng")],
+    "PX4": [
+        pair(0, -1, "result"),
+        pair(0.0, 36.3, "lat", "lon"),
+        pair(0.0, 0.5, "q[0]", "q[1]", "q[2]", "q[3]"),
+    ],
     "marks": [
         pair("0", "50", "Q"),
         pair(0.0, 0.5, "Lat", "Lon"),

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from support.derivatives import derivatives_at_zero
 from support.lenses import distort, in_field, undistort
 
-from jaxgeo.sensor import Bauer, BrownConrady, BrownPhysical, Ebner, NoDistortion
+from jaxgeo.sensor import Bauer, BrownConrady, BrownPhysical, Ebner, Fisheye, NoDistortion
 from jaxgeo.status import Status
 
 
@@ -29,6 +29,8 @@ DISTORTIONS = {
     "tangential": (BrownConrady(k1=-0.1, p1=0.01, p2=-0.02), 0.8),
     "rational": (BrownConrady(0.9, 0.4, 1e-3, -2e-3, 0.05, 1.2, 0.7, 0.2), 1.5),
     "wide lens, rational": (BrownConrady(k1=2.0, k2=0.8, k3=0.02, k4=2.4, k5=1.5, k6=0.16), 2.0),
+    "fisheye": (Fisheye(k1=-0.03, k2=0.01, k3=-0.002, k4=1e-4), 2.0),
+    "fisheye, close to its fold": (Fisheye(k1=-0.3), 1.5),
     "Bauer": (Bauer(np.array([0.02, -0.003, 0.004]), 0.5, 0.8), 0.6),
     "Bauer, close to its fold": (Bauer(np.array([-0.2, 0.01, 0.02]), 0.5), 0.5),
     "Ebner": (Ebner(spread(12, 0.003), 0.48), 0.6),
@@ -38,7 +40,7 @@ DISTORTIONS = {
 }
 ROWS = pytest.mark.parametrize("name", DISTORTIONS)
 IDENTITY_AT_THE_CENTRE = [
-    name for name, (lens, _) in DISTORTIONS.items() if isinstance(lens, NoDistortion | BrownConrady)
+    name for name, (lens, _) in DISTORTIONS.items() if isinstance(lens, NoDistortion | BrownConrady | Fisheye)
 ]
 
 
@@ -90,6 +92,24 @@ def test_beyond_the_fold_of_a_barrel_is_outside_the_field():
     assert np.array_equal(status == Status.hit, reached < 2.0 / 3.0)
     assert np.all(np.asarray(status)[2:] == Status.outside_distortion_field)
     assert np.all(np.hypot(*back.T) < 1.0)
+
+
+def test_a_fisheye_is_opencvs_formula_of_the_angle():
+    """theta_d = theta (1 + k1 theta2 + ...), as cv::fisheye documents it, to 89.9 deg; and its fold at 60.4 deg."""
+    k1, k2, k3, k4 = coefficients = (-0.03, 0.01, -0.002, 1e-4)
+    theta, turn = np.radians([0.0, 1e-6, 0.3, 0.5, 30.0, 80.0, 89.9]), np.radians(25.0)
+    radial = theta * (1.0 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
+    way = np.array([np.cos(turn), np.sin(turn)])
+    ideal = np.tan(theta)[:, None] * way
+    np.testing.assert_allclose(distort(Fisheye(*coefficients), ideal), radial[:, None] * way, rtol=0, atol=1e-15)
+    back, status = undistort(Fisheye(*coefficients), radial[:, None] * way)
+    assert np.all(status == Status.hit)
+    np.testing.assert_allclose(np.arctan(np.hypot(*np.asarray(back).T)), theta, rtol=0, atol=2e-15)
+    fold = 1.0 / np.sqrt(0.9)  # of t - 0.3 t^3
+    for angle in (fold - 0.02, fold + 0.02):
+        assert in_field(Fisheye(k1=-0.3), np.tan(angle) * way[None])[0] == (angle < fold)
+    _, status = undistort(Fisheye(k1=-0.3), np.array([0.99, 1.01])[:, None] * (fold - 0.3 * fold**3) * way)
+    assert status.tolist() == [Status.hit, Status.outside_distortion_field]
 
 
 def test_a_second_branch_far_out_is_not_in_the_field():

@@ -21,6 +21,7 @@ SPACES = {
     "drone-parrot": "http://www.parrot.com/drone-parrot/1.0/",
     "Camera": "http://pix4d.com/camera/1.0/",
     "tiff": "http://ns.adobe.com/tiff/1.0/",
+    "DLS": "http://micasense.com/DLS/1.0/",
     "camera": "http://pix4d.com/camera/1.0",
 }
 MAKE, MODEL, ORIENTATION, EXIF, GPS = 0x010F, 0x0110, 0x0112, 0x8769, 0x8825

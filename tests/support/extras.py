@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxgeo
+from support.autopilot_logs import AT, dataflash, ulog
 from support.klv_packets import local_set, usual
 
 CAMERA = {"type": "pinhole", "im_size": [640, 1152], "focal_len": 120.0, "sensor_size": [92.16, 165.888]}
@@ -148,6 +149,18 @@ def search(folder: pathlib.Path) -> None:
         pass
 
 
+def dataflash_log(folder: pathlib.Path) -> None:
+    """A photo in a log of ArduPilot."""
+    (folder / "a.bin").write_bytes(dataflash([AT]))
+    assert len(jaxgeo.io.read_acquisition(folder / "a.bin", takeoff_height=0.0)) == 1
+
+
+def px4_log(folder: pathlib.Path) -> None:
+    """A photo in a log of PX4."""
+    (folder / "a.ulg").write_bytes(ulog([[1.0, 0.0, 0.0, 0.0]]))
+    assert len(jaxgeo.io.read_acquisition(folder / "a.ulg", height_datum=0.0)) == 1
+
+
 EXTRAS = {
     "cluster": Extra(
         ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pystac", "yaml"), (scheduler, catalogue)
@@ -155,6 +168,7 @@ EXTRAS = {
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),
+    "logs": Extra(("pymavlink", "pyulog"), (dataflash_log, px4_log)),
     "orthority": Extra(("yaml",), (interior_parameters,)),
     "stac": Extra(("pystac", "pystac_client", "requests"), (search,)),
     "video": Extra(("av",), (telemetry,)),

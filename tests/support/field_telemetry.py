@@ -148,7 +148,7 @@ KLV: dict[str, tuple[str, Callable[[pathlib.Path], None]]] = {
     "zero_pos.klv": ("positions 0/0", read(1, said("2 of 3 packets were left out for want of position"))),
     "time_zero.klv": ("times 0", read(2, said("unknown; Precision Time Stamp: a clock that is not set"))),
     "latlon_error.klv": ("latitudes out of range", read(1, said("Sensor Latitude: the code that stands for an error"))),
-    "leap.klv": ("leap seconds told", read(2, TOLD, times("2023-11-14 22:13:57.000"))),
+    "leap.klv": ("leap seconds told", read(2, TOLD, times("2023-11-14T22:13:57.000"))),
     "magnetic_only.klv": ("a magnetic heading only", refused("attitude of the platform", "magnetic heading (tag 64)")),
     "msl_ell_both.klv": ("both heights", read(3, height(2967.95))),
     "pitch_full.klv": ("pitch beyond 20 deg", read(5, pitch(-25.0))),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -62,10 +63,12 @@ def acquisition_of_records(
     facts: Mapping[str, str],
     assumed: Sequence[str] = (),
     time_is_utc: bool = False,
+    of_body: bool = False,
 ) -> Acquisition:
     """Exposures of records; those with unknown position, height or angles are left out, and counted.
 
-    Without `cameras` they have no sensor; a camera is mounted by `Mount.nadir()`, with `Gimbal.fixed()`.
+    Without `cameras` they have no sensor; a camera is mounted by `Mount.nadir()`, with `Gimbal.fixed()`. Angles of the
+    records are the camera's, which looks ahead at zero, or if `of_body` the aircraft's, whose mount may be another.
     Raises `UnstatedDatum` if neither `height_datum` nor `takeoff_height` is given; `TableError` for a value out of
     range, and if no record remains.
     """
@@ -83,7 +86,9 @@ def acquisition_of_records(
     }
     height, of_heights = _heights(path, columns, known[0], height_datum, takeoff_height)
     position = Geodetic(lat=np.deg2rad(columns["lat"]), lon=np.deg2rad(columns["lon"]), height=height)
-    pose = Pose(position, *nadir_attitude(*(np.deg2rad(columns[name]) for name in ("yaw", "pitch", "roll"))))
+    yaw, pitch, roll = (np.deg2rad(columns[name]) for name in ("yaw", "pitch", "roll"))
+    heading, pitch, roll = (yaw, pitch, roll) if of_body else nadir_attitude(yaw, pitch, roll)
+    pose = Pose(position, heading, pitch, roll)
     times = np.array([record.time for record in known])
     timed = bool(np.all(np.isfinite(times)))
     count = len(known)
@@ -96,11 +101,12 @@ def acquisition_of_records(
         names=np.array([record.name for record in known]),
         sensor=sensor,
         shots=Shot(pose, np.zeros((count, 0)), times if timed else np.zeros(count)),
-        assumed=(*of_heights, ANGLES, *assumed, *of_camera, *of_times, *notes),
+        assumed=(*of_heights, *([] if of_body else [ANGLES]), *assumed, *of_camera, *of_times, *notes),
         facts={"records": f"{count} of {len(records)}", **facts},
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,
-        of_camera=True,
+        of_camera=not of_body,
+        start=next((record.time for record in records if math.isfinite(record.time)), None) if timed else None,
     )
 
 

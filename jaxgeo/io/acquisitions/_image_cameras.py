@@ -20,6 +20,7 @@ from jaxgeo.io.acquisitions._calibrations import (
 from jaxgeo.io.acquisitions._digital_zoom import magnified_calibration, magnified_note, zoom_of
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
+from jaxgeo.io.acquisitions._rigs import on_rig
 from jaxgeo.io.acquisitions.record import for_each
 from jaxgeo.io.camera_table import camera_models, named_camera, names_of
 from jaxgeo.io.errors import TableError
@@ -45,16 +46,17 @@ def sensor_of_images(
     mount = Mount.forward() if maker.looks == "forward" else Mount.nadir()
     if maker.looks == "down":
         notes |= {"Yaw, pitch and roll are taken in Pix4D's sense: of the camera, at zero looking straight down.": None}
+    notes |= {maker.note: None} if maker.note else {}
+    gimbal, mount = for_each(gimbal, len(tags)), on_rig(tags, for_each(mount, len(tags)), notes)
     given = None if camera is None else given_camera(camera)
     if isinstance(given, FrameCamera | Lens):
         made, how = _as_given(tags[0], given, notes)
-        return for_each(Sensor(made, gimbal, mount), len(tags)), (), _focal_shown(made.focal_px, how)
+        return Sensor(for_each(made, len(tags)), gimbal, mount), (), _focal_shown(made.focal_px, how)
     found = [_by_tags(one) if given is None else _by_name(one, given) for one in tags]
     notes |= dict.fromkeys(line for one in found for line in one.assumed)
     made = _camera(found, tags[0].width, tags[0].height)
     source = jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(interior_sigma(found, tags[0].width)))
     notes |= dict.fromkeys(_error_notes(found, source))
-    gimbal, mount = for_each((gimbal, mount), len(tags))
     ways = " or ".join(dict.fromkeys(one.how for one in found))
     return Sensor(made, gimbal, mount), (source,), _focal_shown(made.focal_px, ways)
 

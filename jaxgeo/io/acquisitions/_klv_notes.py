@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import datetime
 import re
 from collections.abc import Sequence
 
 import numpy as np
 
+from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions._klv_columns import DERIVED, HELD, LONGEST_HELD, Columns, Numbers, Values, lacking
 from jaxgeo.io.acquisitions.klv import Packet
 from jaxgeo.io.acquisitions.st0601 import label
@@ -141,11 +141,8 @@ def facts(values: Values, columns: Columns, count: int) -> dict[str, str]:
     """Facts of the file for display."""
     found = {"packets": f"{count}, of which {len(values)} make exposures"}
     known = columns["time"][np.isfinite(columns["time"])]
-    ends = [
-        datetime.datetime.fromtimestamp(time, datetime.UTC).isoformat(sep=" ", timespec="milliseconds")
-        for time in ((known.min(), known.max()) if known.size else ())
-    ]
-    found["times"] = " to ".join(ends) or "unknown"
+    ends = [utc_text(float(time)) for time in ((known.min(), known.max()) if known.size else ())]
+    found["times"] = " to ".join(filter(None, ends)) or "unknown"
     for tag in TEXTS:
         texts = dict.fromkeys(str(one[tag]) for one in values if one.get(tag) not in (None, "", b""))
         if texts:

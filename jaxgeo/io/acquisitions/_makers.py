@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,6 +21,7 @@ class Maker:
     - `height` above some datum, `relative` to the take-off point; `sigma`: standard deviations north, east, down, m.
     - `datum`: a tag that may state that `height` is ellipsoidal; `evidence`: tags that help a reader to decide.
     - `make`, `model`: prefixes in lower case that alone select the row; `hint`: for a pitch out of range.
+    - `in_rad`: the angles are in rad; `note`: an assumption about them.
     """
 
     form: str
@@ -37,10 +39,14 @@ class Maker:
     model: str = ""
     pitch: Limits = PITCH
     hint: str = ""
+    in_rad: bool = False
+    note: str = ""
 
 
 PIX4D_ANGLES = ("Camera:Yaw", "Camera:Pitch", "Camera:Roll")
 PIX4D_SIGMA = ("Camera:GPSXYAccuracy", "Camera:GPSXYAccuracy", "Camera:GPSZAccuracy")
+
+PIX4D = Maker("image with Pix4D's camera tags", PIX4D_ANGLES, looks="down", sigma=PIX4D_SIGMA)
 
 # The first row whose angles are in the file is used. Autel's newer files have DJI's tags.
 MAKERS = (
@@ -85,11 +91,21 @@ MAKERS = (
         hint=" Autel means by it an angle from straight down, but in some models one from the horizon, as this may be; "
         "write the angles as drone-dji:GimbalYawDegree, GimbalPitchDegree, GimbalRollDegree (exiftool).",
     ),
-    Maker("image with Pix4D's camera tags", PIX4D_ANGLES, looks="down", sigma=PIX4D_SIGMA),
+    PIX4D,
+    Maker(
+        "MicaSense image",
+        ("DLS:Yaw", "DLS:Pitch", "DLS:Roll"),
+        looks="down",
+        make="micasense",
+        sigma=PIX4D_SIGMA,
+        in_rad=True,
+        note="The camera is taken to be turned as its light sensor is (DLS, in rad): mounted with its arrow to the top "
+        "of the image, level where the camera looks straight down.",
+    ),
 )
 
 
-ANY = replace(MAKERS[-1], form="image with a position in EXIF")  # no maker, angles from the caller
+ANY = replace(PIX4D, form="image with a position in EXIF")  # no maker, angles from the caller
 
 
 def maker_of(tags: ImageTags, *, angles_are_given: bool = False) -> Maker:
@@ -129,10 +145,22 @@ def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
     if reason := tags.unknown("camera angles", maker.angles):
         raise TableError(f"{tags.path}: how the camera was turned is unknown: {reason}. {by_hand(tags)}")
     try:
-        return [tags.number(name, limits) for name, limits in zip(maker.angles, (YAW, maker.pitch, ROLL), strict=True)]
+        return [
+            _angle(tags, name, limits, maker)
+            for name, limits in zip(maker.angles, (YAW, maker.pitch, ROLL), strict=True)
+        ]
     except TableError as error:
         hint = maker.hint if maker.angles[1] in str(error) else ""
         raise TableError(f"{error}{hint} {by_hand(tags)}") from error
+
+
+def _angle(tags: ImageTags, name: str, limits: Limits, maker: Maker) -> float | None:
+    """An angle in deg."""
+    if not maker.in_rad:
+        return tags.number(name, limits)
+    low, high, _ = limits
+    found = tags.number(name, (math.radians(low), math.radians(high), "rad"))
+    return None if found is None else math.degrees(found)
 
 
 def aircraft_of(tags: ImageTags, maker: Maker) -> list[float | None]:

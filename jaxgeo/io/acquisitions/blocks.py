@@ -161,7 +161,7 @@ def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:
 
 
 def check_one_size(path: Any, cameras: Cameras, taken_by: np.ndarray) -> None:
-    """Raises `TableError` for images of cameras of several sizes, or of an unknown camera."""
+    """Raises `TableError` for images of cameras of several sizes, of fisheyes and others, or of an unknown camera."""
     used = [str(name) for name in np.unique(taken_by)]
     unknown = [name for name in used if name not in cameras]
     if unknown:
@@ -170,6 +170,10 @@ def check_one_size(path: Any, cameras: Cameras, taken_by: np.ndarray) -> None:
     if len(set(sizes.values())) > 1:
         each = ", ".join(f"{name!r} {width} x {height}" for name, (width, height) in sizes.items())
         raise TableError(f"{path}: images are of cameras of several sizes: {each}; choose one with camera=.")
+    kinds = {name: type(cameras[name].distortion).__name__ for name in used}
+    if "Fisheye" in kinds.values() and len(set(kinds.values())) > 1:
+        each = ", ".join(f"{name!r} {'a fisheye' if kind == 'Fisheye' else 'none'}" for name, kind in kinds.items())
+        raise TableError(f"{path}: some images are of fisheyes and some are not: {each}; choose one with camera=.")
 
 
 def sensor_of(cameras: Cameras, taken_by: np.ndarray) -> Sensor:

@@ -15,7 +15,7 @@ from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, r
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import AS_READ
-from jaxgeo.sensor import BrownConrady, FrameCamera
+from jaxgeo.sensor import BrownConrady, Fisheye, FrameCamera
 
 __all__ = ["FORM", "files_of_model", "is_colmap", "read_colmap"]
 
@@ -25,6 +25,8 @@ LENSES = {
     "SIMPLE_PINHOLE": (1, ()), "PINHOLE": (2, ()), "SIMPLE_RADIAL": (1, ("k1",)), "RADIAL": (1, ("k1", "k2")),
     "OPENCV": (2, ("k1", "k2", "p1", "p2")),
     "FULL_OPENCV": (2, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+    "SIMPLE_RADIAL_FISHEYE": (1, ("k1",)), "RADIAL_FISHEYE": (1, ("k1", "k2")),
+    "OPENCV_FISHEYE": (2, ("k1", "k2", "k3", "k4")),
 }  # fmt: skip
 CORNER = 0.5  # pixels: COLMAP counts from the corner of the first pixel, `FrameCamera` from its centre
 
@@ -41,8 +43,9 @@ def read_colmap(
     `path` is the folder with cameras and images (.bin, else .txt), or one of these files. Layout as in COLMAP's
     documentation, "Output Format": quaternion (w, x, y, z) and translation from the world to the camera (right,
     down, forward); the centre of the first pixel is (0.5, 0.5). Camera models SIMPLE_PINHOLE, PINHOLE,
-    SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are read, with the distortion as `BrownConrady`. A model states
-    neither its frame nor its scale: `colmap model_aligner` gives both.
+    SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are read, with the distortion as `BrownConrady`, and
+    SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE and OPENCV_FISHEYE as `Fisheye`. A model states neither its frame nor its
+    scale: `colmap model_aligner` gives both.
 
     - `crs`: "EPSG:4978" for a model aligned with `--alignment_type ecef`; "enu:LAT,LON,HEIGHT" for `enu`, whose
       origin is the first of the positions that COLMAP aligned to; a map in metres for positions in that map
@@ -101,8 +104,14 @@ def _camera(where: str, raw: RawCamera) -> FrameCamera:
         width=raw.width,
         height=raw.height,
         principal_px=(principal[0] - CORNER, principal[1] - CORNER),
-        distortion=BrownConrady(**dict(zip(names, others, strict=True))) if any(others) else None,
+        distortion=_lens(raw.model, dict(zip(names, others, strict=True))),
     )
+
+
+def _lens(model: str, terms: dict[str, float]) -> BrownConrady | Fisheye | None:
+    if model.endswith("_FISHEYE"):
+        return Fisheye(**terms)
+    return BrownConrady(**terms) if any(terms.values()) else None
 
 
 def _refuse_no_frame(path: Any, centres: np.ndarray) -> None:

@@ -16,8 +16,13 @@ from jaxgeo.io._orientation_columns import ALIASES, KNOWN
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
+from jaxgeo.io.acquisitions._by_time import by_time
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
 from jaxgeo.io.acquisitions.airdata import read_airdata
+from jaxgeo.io.acquisitions.ardupilot import BINARY as DATAFLASH
+from jaxgeo.io.acquisitions.ardupilot import FORM as ARDUPILOT_FORM
+from jaxgeo.io.acquisitions.ardupilot import TEXT as DATAFLASH_TEXT
+from jaxgeo.io.acquisitions.ardupilot import read_ardupilot
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.colmap import FORM as COLMAP_FORM
 from jaxgeo.io.acquisitions.colmap import files_of_model, is_colmap, read_colmap
@@ -30,7 +35,11 @@ from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.micmac import FORM as MICMAC_FORM
 from jaxgeo.io.acquisitions.micmac import files_of_orientations, read_micmac
 from jaxgeo.io.acquisitions.orthority import read_orthority
+from jaxgeo.io.acquisitions.pix4d import FORM as PIX4D_FORM
+from jaxgeo.io.acquisitions.pix4d import files_of_parameters, read_pix4d
 from jaxgeo.io.acquisitions.positions import with_table
+from jaxgeo.io.acquisitions.px4 import FORM as PX4_FORM
+from jaxgeo.io.acquisitions.px4 import MAGIC, read_px4
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
@@ -41,6 +50,7 @@ from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes read for detection
 IMAGES = (b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # JPEG, TIFF and BigTIFF in both orders
+MP4 = b"ftyp"  # after the length of the first box
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
 
@@ -68,16 +78,18 @@ class Form(NamedTuple):
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
     an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
-    model or MicMac orientations (folder or file), Metashape cameras (XML), DJI video subtitles, flight logs (AirData,
-    Litchi, Flight Reader), a scene.
+    model, MicMac orientations or Pix4D camera parameters (folder or file), Metashape cameras (XML), DJI video
+    subtitles, flight logs (AirData, Litchi, Flight Reader, ArduPilot, PX4), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
-    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, a camera name
-    (orientations, parameters, reconstructions), or a lens or file as for images (telemetry, orientations, logs);
-    `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
-    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for an unknown kind of file, and for
-    an option that its reader does not accept; `FileNotFoundError`; and as the readers.
+    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `times`, such as "00:01:23", "83.5" or
+    "2024-05-10T10:20:31Z": exposures at these times, interpolated (telemetry, subtitles, flight logs but those of
+    photos); `crs` and `camera`, a camera name (orientations, parameters, reconstructions), or a lens or file as for
+    images (telemetry, orientations, logs); `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and
+    `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises `TableError`
+    for an unknown kind of file, and for an option that its reader does not accept; `FileNotFoundError`; and as the
+    readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -133,6 +145,11 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     for form in FORMS:
         if form.is_one(place, head):
             return form
+    if head[4:8] == MP4:
+        raise TableError(
+            f"{path}: this is a video (MP4 or MOV), of which no telemetry is read. Give the subtitle file (.SRT) that "
+            f"the drone wrote beside it, or its subtitles as such a file: ffmpeg -i VIDEO -map 0:s:0 clip.srt."
+        )
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
@@ -141,6 +158,8 @@ def form_of_folder(path: str | os.PathLike[str]) -> Form | None:
     """The kind of a folder that is one block; None for a folder of images."""
     if files_of_model(path) is not None:
         return COLMAP
+    if files_of_parameters(path):
+        return PIX4D
     return MICMAC if files_of_orientations(path) else None
 
 
@@ -201,6 +220,14 @@ def _is_image(path: pathlib.Path, head: bytes) -> bool:
 
 def _is_colmap(path: pathlib.Path, head: bytes) -> bool:
     return is_colmap(head)
+
+
+def _is_ardupilot(path: pathlib.Path, head: bytes) -> bool:
+    return head.startswith(DATAFLASH) or (head.startswith(DATAFLASH_TEXT) and _is_text(head))
+
+
+def _is_px4(path: pathlib.Path, head: bytes) -> bool:
+    return head.startswith(MAGIC)
 
 
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
@@ -282,35 +309,42 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
     return bool(np.all(np.isfinite(first)) and np.all(turns))
 
 
-TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera")
+TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera", "times")
 PLACED = ("height_datum", "crs", "camera")
 IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
 COLMAP = Form(COLMAP_FORM, _is_colmap, read_colmap, PLACED)
 MICMAC = Form(MICMAC_FORM, _is_micmac, read_micmac, (*PLACED, "cameras"))
+PIX4D = Form(PIX4D_FORM, _has(b"camera matrix K [3x3]"), read_pix4d, PLACED)
 OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)")
 OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw")
 OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "custom.updatetime [local]")
-FLIGHT_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
+PHOTO_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
+FLIGHT_LOG = (*PHOTO_LOG, "times")
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
 ORTHORITY_OR_TABLE = ORIENTATIONS._replace(takes=(*ORIENTATIONS.takes, "interior"))
 FORMS = (
     DRONE_IMAGES,
-    Form("MISB ST 0601 telemetry", _is_telemetry, read_telemetry, TELEMETRY),
+    Form(ARDUPILOT_FORM, _is_ardupilot, read_ardupilot, PHOTO_LOG),
+    Form(PX4_FORM, _is_px4, read_px4, ("height_datum", "camera", "cameras")),
+    Form("MISB ST 0601 telemetry", _is_telemetry, by_time(read_telemetry), TELEMETRY),
     Form("scene file", _is_scene, _of_scene, ()),
-    Form("subtitle file of DJI", _is_subtitles, read_dji_subtitles, FLIGHT_LOG),
-    Form("flight log of AirData", _is_log("latitude", "longitude", one_of=OF_AIRDATA), read_airdata, FLIGHT_LOG),
-    Form("flight log of Litchi", _is_log("latitude", "longitude", one_of=OF_LITCHI), read_litchi, FLIGHT_LOG),
+    Form("subtitle file of DJI", _is_subtitles, by_time(read_dji_subtitles), FLIGHT_LOG),
+    Form(
+        "flight log of AirData", _is_log("latitude", "longitude", one_of=OF_AIRDATA), by_time(read_airdata), FLIGHT_LOG
+    ),
+    Form("flight log of Litchi", _is_log("latitude", "longitude", one_of=OF_LITCHI), by_time(read_litchi), FLIGHT_LOG),
     Form(
         "flight log of Flight Reader",
         _is_log("osd.latitude", "osd.longitude", one_of=OF_FLIGHT_READER),
-        read_flight_reader,
+        by_time(read_flight_reader),
         FLIGHT_LOG,
     ),
     Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
     COLMAP,
     MICMAC,
+    PIX4D,
     Form("file of positions", _is_positions, _of_positions, (*IMAGES_TAKE, "cameras")),
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import calendar
+import math
 import os
 import re
+from dataclasses import replace
 
 from jaxgeo._checks import require_x64
 from jaxgeo.io._text import read_text
@@ -20,7 +22,7 @@ FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?[0-9][^ \t\r\n\])}>,;]*)")
 PLAIN = re.compile(rf"[-+]?{_DECIMAL}")
 # Excludes 1_0, 0x10, 1e5, digits of other scripts, damaged bytes.
 NUMBER = re.compile(rf"([-+]?{_DECIMAL}(?:/{_DECIMAL})?)m?")
-CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
+CUE = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,9})\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
 TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware
 NAMES = {
@@ -34,6 +36,7 @@ NAMES = {
 MEASURED = frozenset({*NAMES.values(), "abs_alt", "altitude", "framecnt"})  # once in a record
 MOST_FRAMES = 1e9
 MOST_SHOWN = 40  # characters quoted of an invalid number
+OF_VIDEO = "Times are those of the video: the file has no dates, or not for all records."
 ANGLES = ("gb_yaw", "gb_pitch", "gb_roll")
 
 
@@ -50,7 +53,8 @@ def read_dji_subtitles(
 
     The angles are those of the camera relative to level and true north; the pose is that of a body with the camera in
     `Mount.nadir()` and `Gimbal.fixed()`. Records without a position (latitude and longitude zero), a height or angles
-    are left out, and counted in `assumed`. Times are by the drone's clock, whose time zone is unknown.
+    are left out, and counted in `assumed`. Times are by the drone's clock, whose time zone is unknown, or without it
+    those of the video.
 
     - `height_datum`: datum of `abs_alt`, as in scene files.
     - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, to which `rel_alt` is added.
@@ -61,14 +65,18 @@ def read_dji_subtitles(
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
-    records = [_record(path, index, block) for index, block in enumerate(_blocks(path))]
+    blocks = _blocks(path)
+    records = [_record(path, index, block) for index, (_, block) in enumerate(blocks)]
+    is_dated = all(math.isfinite(record.time) for record in records)
+    if not is_dated:
+        records = [replace(record, time=cue) for record, (cue, _) in zip(records, blocks, strict=True)]
     if not any(all(name in record.values for name in ANGLES) for record in records):
         raise TableError(
             f"{path}: there are no angles of the camera (gb_yaw, gb_pitch, gb_roll), which not every drone writes; "
             f"AirData's CSV of the same flight has them."
         )
     focal = {str(record.values["focal_len"]) for record in records if record.values.get("focal_len")}
-    return acquisition_of_records(
+    found = acquisition_of_records(
         path,
         FORM,
         records,
@@ -78,26 +86,30 @@ def read_dji_subtitles(
         cameras=cameras,
         camera=camera,
         facts={"focal length as written": ", ".join(sorted(focal)[:3])} if focal else {},
-        assumed=("Times are by the drone's clock, whose time zone is not said.",),
+        assumed=("Times are by the drone's clock, whose time zone is not said." if is_dated else OF_VIDEO,),
     )
+    return replace(found, start=records[0].time - blocks[0][0])  # where the video starts
 
 
-def _blocks(path: str | os.PathLike[str]) -> list[str]:
-    """The text of each cue. Raises `TableError` if there is none."""
-    found: list[list[str]] = []
+def _blocks(path: str | os.PathLike[str]) -> list[tuple[float, str]]:
+    """(start in s of the video, text) of each cue. Raises `TableError` if there is none."""
+    found: list[tuple[float, list[str]]] = []
     before = 0
     for number, line in enumerate(read_text(path, FORM).splitlines(), start=1):
-        if CUE.search(line):
-            found.append([])
+        cue = CUE.search(line)
+        if cue:
+            hours, minutes, seconds, fraction = cue.groups()
+            start = 3600.0 * int(hours) + 60.0 * int(minutes) + float(f"{seconds}.{fraction}")
+            found.append((start, []))
         elif found:
-            found[-1].append(line)
+            found[-1][1].append(line)
         elif FIELD.search(line):
             before = before or number
     if not found:
         raise TableError(f"{path}: there are no subtitles (a line such as 00:00:00,000 --> 00:00:00,033).")
     if before:
         raise TableError(f"{path}, row {before}: there is no time above the first record (00:00:00,000 --> ...).")
-    return [" ".join(lines) for lines in found]
+    return [(start, " ".join(lines)) for start, lines in found]
 
 
 def _record(path: object, index: int, block: str) -> LogRecord:

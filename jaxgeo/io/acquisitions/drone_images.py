@@ -18,6 +18,7 @@ from jaxgeo.io.acquisitions._image_positions import HEIGHT, LAT, LON, altitude_s
 from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags
 from jaxgeo.io.acquisitions._image_times import time_of
 from jaxgeo.io.acquisitions._makers import Maker, aircraft_of, angles_of, maker_of
+from jaxgeo.io.acquisitions._rigs import band_of
 from jaxgeo.io.acquisitions.record import Acquisition, Reported
 from jaxgeo.io.acquisitions.usual_errors import POSITION
 from jaxgeo.io.errors import ImageError, TableError
@@ -46,7 +47,8 @@ def read_drone_images(
 ) -> Acquisition:
     """Read the exposures of one image, of several, or of all in a folder: JPEG or TIFF, all of one camera.
 
-    Supported are the tags of DJI, Skydio, Parrot and Autel, and Pix4D's camera tags; pixels are not decoded. The
+    Supported are the tags of DJI, Skydio, Parrot, Autel and MicaSense, and Pix4D's camera tags; a band's camera is
+    turned on its mount by `RigRelatives`. Pixels are not decoded. The
     camera's angles are relative to level and true north: the camera is in a `Gimbal.three_axis()` and looks along its
     head, `Mount.forward()`; Pix4D counts from straight down, `Mount.nadir()`. The pose has the aircraft's attitude if
     the file states it. Lens and focal length are the maker's calibration in the image, else from the package's table of
@@ -103,6 +105,7 @@ def read_drone_images(
         assumed=tuple(notes),
         facts={
             "camera": " ".join(first.camera).strip() or "not said",
+            **({"band": band_of(first)} if band_of(first) else {}),
             "image size": f"{first.width} x {first.height} pixels",
             "focal length": how,
             "altitude": altitude_shown(first, maker),

@@ -45,6 +45,7 @@ class Acquisition:
     - `reported`: the ground position reported by the file, for comparison.
     - `of_camera`: whether poses without a sensor are the camera's own, as of a body that carries it in
       `Mount.nadir()` with `Gimbal.fixed()`: then only the camera of a scene applies to them.
+    - `start`: the time of the first record of the file, from which the times of a video count; None if unknown.
     - `tags`: everything found for each exposure, by the file's own names, including those unknown to the reader.
     """
 
@@ -60,6 +61,7 @@ class Acquisition:
     tags: tuple[Mapping[str, Any], ...] = ()
     time_is_utc: bool = False
     of_camera: bool = False
+    start: float | None = None
 
     def __post_init__(self) -> None:
         check_is(self.shots, Shot, "shots", "One Shot, whose fields hold an entry for each exposure.")

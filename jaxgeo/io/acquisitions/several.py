@@ -86,7 +86,7 @@ def read_acquisitions(
     """Read the exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop others.
 
     `paths` and the options `how` are those of `read_acquisition`; a folder stands for its JPEG and TIFF images, unless
-    it holds a COLMAP model or MicMac orientations.
+    it holds a COLMAP model, MicMac orientations or Pix4D's camera parameters.
     Each file is read alone: statements of one file (such as standard deviations of its position) are never applied to
     another. With several files, records that have only a number, as in KLV and SBET, are named with their file:
     "video.ts/7". An option applies to the files whose reader accepts it; with `positions`, an image that is missing in

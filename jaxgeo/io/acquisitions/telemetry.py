@@ -70,6 +70,7 @@ def read_telemetry(
     sound = [(k, one) for k, one in enumerate(found) if not one.damage or (keep_damaged and one.items)]
     values = [decode(one.items) for _, one in sound]
     numbers = numbers_of(values)
+    start = next(iter(numbers.columns["time"][np.isfinite(numbers.columns["time"])].tolist()), None)
     usable = ~np.any([which for which, _ in lacking(numbers.columns, given is None).values()], axis=0)
     notes = [*damage(found, keep_damaged), *left_out(numbers, values, len(found), given is None)]
     if not usable.any():
@@ -102,6 +103,7 @@ def read_telemetry(
         reported=Reported(centre, columns["slant_range"]),
         tags=tuple({label(tag): value for tag, value in one.items()} for one in values),
         time_is_utc=bool(np.isfinite(columns["time"]).all()),
+        start=start,
     )
 
 

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import pathlib
+import shutil
 import time
 from typing import Any
 
@@ -72,7 +73,7 @@ class DemCache:
             with open(path, "rb") as file:
                 is_sound = hashlib.file_digest(file, "sha256").hexdigest() == digest
             if not is_sound:
-                path.unlink(missing_ok=True)
+                _remove(path)
                 return None
             with contextlib.suppress(OSError):  # a cache that may only be read
                 os.utime(path)
@@ -104,10 +105,10 @@ class DemCache:
         """Remove all objects and entries; returns the bytes of the objects."""
         size = 0
         for _, one, path in self._objects():
-            path.unlink(missing_ok=True)
+            _remove(path)
             size += one
         for path in (self.folder / ENTRIES).glob("*.json"):
-            path.unlink(missing_ok=True)
+            _remove(path)
         return size
 
     def _make_room(self, more: int) -> None:
@@ -120,7 +121,7 @@ class DemCache:
             if path in self._used or now - used < IN_USE:
                 continue
             with contextlib.suppress(OSError):
-                path.unlink()
+                _remove(path)
                 total -= size
 
     def _objects(self) -> list[tuple[float, int, pathlib.Path]]:
@@ -141,6 +142,8 @@ class DemCache:
     def _write(self, path: pathlib.Path, content: bytes) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_dir():  # no folder is ever made there: it stands in the way of a part
+                _remove(path)
             with partial_file(path) as partial:
                 partial.write_bytes(content)
                 partial.replace(path)
@@ -149,6 +152,14 @@ class DemCache:
             raise ArchiveError(
                 f"{self.folder}: the cache cannot be written: {error.strerror}; {way} another folder by {FOLDER}."
             ) from error
+
+
+def _remove(path: pathlib.Path) -> None:
+    """Remove a part, or what is in its place."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _usual_folder() -> pathlib.Path:

@@ -10,6 +10,7 @@ from jaxgeo.sensor.distortion.brown_conrady import BrownConrady
 from jaxgeo.sensor.distortion.brown_physical import BrownPhysical
 from jaxgeo.sensor.distortion.correction import AbstractCorrection
 from jaxgeo.sensor.distortion.ebner import Ebner
+from jaxgeo.sensor.distortion.fisheye import Fisheye
 
 __all__ = [
     "AbstractCorrection",
@@ -18,5 +19,6 @@ __all__ = [
     "BrownConrady",
     "BrownPhysical",
     "Ebner",
+    "Fisheye",
     "NoDistortion",
 ]

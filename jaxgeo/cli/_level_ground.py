@@ -1,0 +1,37 @@
+"""Level ground of commands about whole images: a height in m above the ellipsoid or a datum."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxgeo._text_numbers import number_in
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._inputs import as_datum, check_goes_with_dem
+from jaxgeo.cli._locate_options import GroundOptions
+from jaxgeo.terrain import ConstantHeight
+
+
+def check_ground(ground: GroundOptions) -> None:
+    """Raises `UserError` unless there is either an elevation model or a height."""
+    if bool(ground.dem) == (ground.level is not None):
+        raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
+    if ground.dem:
+        return
+    check_goes_with_dem(ground)
+    if number_in(ground.level or "") is None:
+        raise UserError(f"--ground {ground.level!r}: expected a height in m.")
+
+
+def level_at(shot: Any, ground: GroundOptions) -> ConstantHeight:
+    """Level ground at the height of `--ground`, above the datum as it is at the shot."""
+    height = number_in(ground.level or "")
+    assert height is not None
+    if ground.vertical_datum is None:
+        return ConstantHeight(np.float64(height))
+    from jaxgeo.io.scene import ellipsoidal_heights
+
+    position = shot.pose.position
+    lon, lat = (np.rad2deg(np.atleast_1d(np.asarray(angle))) for angle in (position.lon, position.lat))
+    return ConstantHeight(ellipsoidal_heights(lon, lat, np.array([height]), as_datum(ground.vertical_datum))[0])

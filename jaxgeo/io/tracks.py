@@ -1,0 +1,115 @@
+"""Tracks of exposures as GPX and KML: camera positions in order of time."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from collections.abc import Callable
+from typing import NamedTuple
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo._destination import destination
+from jaxgeo.io._kml import NAMESPACE, checked_text
+from jaxgeo.io._utc import utc_text
+from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet
+from jaxgeo.io.geoid import degrees_of, height_msl
+
+GPX = "http://www.topografix.com/GPX/1/1"
+EXTENDED = "http://www.google.com/kml/ext/2.2"  # of KML, for tracks with times
+ABOUT = "Positions of the platform on WGS 84, heights above mean sea level (EGM96)."
+
+
+class _Track(NamedTuple):
+    """Points of one track: names, longitude and latitude in deg, height above EGM96 in m, times as text or None."""
+
+    name: str
+    names: list[str]
+    places: np.ndarray
+    times: list[str | None]
+
+
+def write_track(path: str | os.PathLike[str], found: Acquisition | AcquisitionSet) -> None:
+    """Write the positions of exposures as a track to .gpx (GPX 1.1) or .kml (KML 2.2).
+
+    Each acquisition is a track, in order of its times. Heights are above mean sea level (EGM96). Points have a time
+    (ISO 8601) if the acquisition's times are in UTC; in KML, a track with times for all points is a `gx:Track`, else a
+    line. The file appears only when complete. Raises `ValueError` for another ending, a path that cannot be written
+    to, and names that XML cannot hold; `TypeError` for other arguments.
+    """
+    target = pathlib.Path(path)
+    write = writer_of(target)
+    if not isinstance(found, AcquisitionSet):
+        check_is(found, Acquisition, "found", "Or an AcquisitionSet, as read by `read_acquisitions`.")
+    parts = found.parts if isinstance(found, AcquisitionSet) else (found,)
+    with destination("path", target, binary=True) as stream:
+        root = write([_track(one) for one in parts])
+        ET.indent(root, " ")
+        stream.write(ET.tostring(root, encoding="UTF-8", xml_declaration=True))
+
+
+def writer_of(target: pathlib.Path) -> Callable[[list[_Track]], ET.Element]:
+    """The writer by the ending of a file. Raises `ValueError`."""
+    try:
+        return WRITERS[target.suffix.lower()]
+    except KeyError:
+        raise ValueError(f"{target}: tracks are written to files that end in {', '.join(WRITERS)}.") from None
+
+
+def _track(found: Acquisition) -> _Track:
+    order = np.argsort(np.asarray(found.shots.time), kind="stable")
+    position = found.shots.pose.position
+    lat, lon, _ = degrees_of(position)
+    places = np.stack([lon, lat, height_msl(position)], axis=-1)[order]
+    clock = np.asarray(found.shots.time)[order].tolist()
+    times = [utc_text(time) if found.time_is_utc else None for time in clock]
+    return _Track(os.path.basename(found.path), found.names[order].tolist(), places, times)
+
+
+def _gpx(tracks: list[_Track]) -> ET.Element:
+    root = ET.Element("gpx", xmlns=GPX, version="1.1", creator="jaxgeo")
+    _text(ET.SubElement(root, "metadata"), "desc", ABOUT)
+    for track in tracks:
+        element = ET.SubElement(root, "trk")
+        _text(element, "name", track.name)
+        segment = ET.SubElement(element, "trkseg")
+        for name, (lon, lat, height), time in zip(track.names, track.places.tolist(), track.times, strict=True):
+            point = ET.SubElement(segment, "trkpt", lat=f"{lat:.10f}", lon=f"{lon:.10f}")
+            _text(point, "ele", f"{height:.4f}")
+            if time is not None:
+                _text(point, "time", time)
+            _text(point, "name", name)
+    return root
+
+
+def _kml(tracks: list[_Track]) -> ET.Element:
+    root = ET.Element("kml", {"xmlns": NAMESPACE, "xmlns:gx": EXTENDED})
+    document = ET.SubElement(root, "Document")
+    _text(document, "name", "Tracks")
+    _text(document, "description", ABOUT)
+    for track in tracks:
+        mark = ET.SubElement(document, "Placemark")
+        _text(mark, "name", track.name)
+        points = track.places.tolist()
+        if all(time is not None for time in track.times):
+            element = ET.SubElement(mark, "gx:Track")
+            _text(element, "altitudeMode", "absolute")
+            for time in track.times:
+                _text(element, "when", f"{time}")
+            for lon, lat, height in points:
+                _text(element, "gx:coord", f"{lon:.10f} {lat:.10f} {height:.4f}")
+            continue
+        line = ET.SubElement(mark, "LineString")
+        _text(line, "altitudeMode", "absolute")
+        twice = points if len(points) > 1 else points * 2  # a line has two points
+        _text(line, "coordinates", " ".join(f"{lon:.10f},{lat:.10f},{height:.4f}" for lon, lat, height in twice))
+    return root
+
+
+def _text(parent: ET.Element, tag: str, text: str) -> None:
+    ET.SubElement(parent, tag).text = checked_text(text)
+
+
+WRITERS: dict[str, Callable[[list[_Track]], ET.Element]] = {".gpx": _gpx, ".kml": _kml}

@@ -1,0 +1,83 @@
+"""Tracks of exposures: places, heights above the sea and times, as other readers have them.
+
+Held against: GDAL's driver of GPX, KML's schema (fastkml), and PROJ for heights above EGM96.
+"""
+
+from __future__ import annotations
+
+import pathlib
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pyproj
+import pytest
+from pyogrio import raw
+from typer.testing import CliRunner
+
+from jaxgeo.cli import app
+from jaxgeo.io import Acquisition, read_acquisition, write_track
+from tests.io.test_flight_logs import airdata, subtitles
+
+ROWS = [{"latitude": str(36.3 + 1e-3 * k), "time(millisecond)": str(1500 + 1000 * k)} for k in (0, 2, 1)]
+KML = {"kml": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
+TIMES = [f"2025-05-04T10:20:{second}.000Z" for second in (31, 32, 33)]
+
+
+@pytest.fixture
+def flight(tmp_path: pathlib.Path) -> Acquisition:
+    """Three records, of which the last two are not in order of time."""
+    path = tmp_path / "flight.csv"
+    path.write_text(airdata(*ROWS), encoding="utf-8")
+    return read_acquisition(path, takeoff_height=600.0)
+
+
+def places() -> np.ndarray:
+    """Longitudes, latitudes and heights above EGM96, by PROJ."""
+    to_sea = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:9707", always_xy=True)
+    return np.array([to_sea.transform(-84.2, 36.3 + 1e-3 * k, 600.0 + 984.252 * 0.3048) for k in range(3)])
+
+
+def test_gdal_reads_points_and_times_of_gpx(tmp_path: pathlib.Path, flight: Acquisition) -> None:
+    path = tmp_path / "track.gpx"
+    write_track(path, flight)
+    known, _, shapes, columns = raw.read(path, layer="track_points")
+    table = dict(zip(known["fields"], columns, strict=True))
+    np.testing.assert_allclose(table["ele"], places()[:, 2], atol=1e-3)  # m
+    np.testing.assert_array_equal(table["time"], np.array([one[:-1] for one in TIMES], "datetime64[ms]"))
+    assert table["name"].tolist() == ["0", "2", "1"]
+    import shapely
+
+    found = shapely.get_coordinates(shapely.from_wkb(shapes), include_z=False)
+    np.testing.assert_allclose(found, places()[:, :2], atol=1e-9)
+    root = ET.parse(path).getroot()
+    assert (root.tag, root.get("version")) == ("{http://www.topografix.com/GPX/1/1}gpx", "1.1")
+
+
+def test_kml_is_valid_by_its_schema_with_and_without_times(tmp_path: pathlib.Path, flight: Acquisition) -> None:
+    validator = pytest.importorskip("fastkml.validator")
+    path = tmp_path / "track.kml"
+    write_track(path, flight)
+    assert validator.validate(file_to_validate=path)
+    track = ET.parse(path).getroot().find(".//gx:Track", KML)
+    assert track is not None
+    assert [one.text for one in track.findall("kml:when", KML)] == TIMES
+    found = np.array([(one.text or "").split() for one in track.findall("gx:coord", KML)], float)
+    np.testing.assert_allclose(found, places(), atol=1e-3)
+    clip = tmp_path / "clip.srt"
+    clip.write_text(subtitles(), encoding="utf-8")  # its times are of an unknown zone
+    write_track(path, read_acquisition(clip, takeoff_height=600.0))
+    assert validator.validate(file_to_validate=path)
+    assert ET.parse(path).getroot().find(".//kml:LineString", KML) is not None
+    assert "when" not in path.read_text()
+
+
+def test_the_command_line_writes_tracks(tmp_path: pathlib.Path, flight: Acquisition) -> None:
+    output = tmp_path / "track.gpx"
+    line = ["inspect", flight.path, "--takeoff-height", "600", "-o"]
+    assert CliRunner().invoke(app, [*line, str(output)]).exit_code == 0
+    assert output.read_text().count("<trkpt") == 3
+    refused = CliRunner().invoke(app, [*line, str(tmp_path / "track.shp")])
+    assert refused.exit_code == 2
+    assert "use .csv, .gpx or .kml" in refused.stderr
+    with pytest.raises(ValueError, match=r"tracks are written to files that end in \.gpx, \.kml"):
+        write_track(tmp_path / "track.csv", flight)

@@ -1,0 +1,91 @@
+"""Flights of `jaxgeo plan` from the exposures of a file, and footprints of such exposures on level ground."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from jaxgeo.cli import app
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._flights import flight_of
+from jaxgeo.io import read_navigation, read_observations
+from tests.io.test_flight_log_programs import litchi
+
+CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
+SECONDS = ("31.000", "32.000", "33.500")
+
+
+def log(
+    folder: pathlib.Path, seconds: tuple[str, ...] = SECONDS, yaws: tuple[int, ...] = (3590, 5, 15)
+) -> pathlib.Path:
+    path = folder / "flight.csv"
+    rows = [
+        {"latitude": str(36.3 + 1e-4 * k), "datetime(utc)": f"2021-05-04 10:20:{second}", "gimbalYawRaw": str(yaw),
+         "gimbalPitchRaw": "-900", "gimbalRollRaw": "0"}
+        for k, (second, yaw) in enumerate(zip(seconds, yaws, strict=True))
+    ]  # fmt: skip
+    path.write_text(litchi(*rows), encoding="utf-8")
+    return path
+
+
+def test_exposures_of_a_file_are_the_flight_of_their_navigation(tmp_path: pathlib.Path) -> None:
+    found = flight_of(read_observations(log(tmp_path), takeoff_height=600.0, camera=CAMERA))
+    assert (float(found.trajectory.start), found.started) == (0.0, 1_620_123_631.0)  # 2021-05-04 10:20:31 UTC
+    records = tmp_path / "records.csv"
+    records.write_text(
+        "time_s,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg\n"
+        + "".join(f"{at},{36.3 + 1e-4 * k},-84.2,900,{yaw},0,0\n"
+                  for k, (at, yaw) in enumerate(((0.0, 359.0), (1.0, 0.5), (2.5, 1.5)))),
+        encoding="utf-8",
+    )  # fmt: skip
+    expected = read_navigation(records, height_datum="ellipsoid")
+    ours, theirs = found.trajectory.at(0.7).pose, expected.at(0.7).pose
+    np.testing.assert_allclose(ours.position.lat, theirs.position.lat, atol=1e-12)
+    np.testing.assert_allclose(np.sin(ours.heading - theirs.heading), 0.0, atol=1e-12)
+    assert found.sensor.camera.width == 5472  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    "seconds, yaws, words",
+    [
+        (("31.000", "31.000", "31.000"), (0, 0, 0), "fewer than two exposures at different times"),
+        (("31.000", "32.000", "33.000"), (0, 1700, 0), "exposures? [01] to [12]|exposure 1"),
+    ],
+    ids=["one time", "turn"],
+)
+def test_what_is_no_flight_is_refused(
+    tmp_path: pathlib.Path, seconds: tuple[str, ...], yaws: tuple[int, ...], words: str
+) -> None:
+    observed = read_observations(log(tmp_path, seconds, yaws), takeoff_height=600.0, camera=CAMERA)
+    with pytest.raises(UserError, match=words) as refusal:
+        flight_of(observed)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.costly
+def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Path) -> None:
+    """Straight down the scale is the height above the ground over the focal length."""
+    line = ["footprint", str(log(tmp_path, ("31.000",), (0,))), "--takeoff-height", "600", "--camera", CAMERA]
+    output = tmp_path / "footprints.geojson"
+    result = CliRunner().invoke(app, [*line, "--ground", "500", "--json", "-o", str(output), "--style"])
+    assert result.exit_code == 0, result.output
+    assert "SimpleFill" in output.with_suffix(".qml").read_text(encoding="utf-8")
+    (found,) = json.loads(result.stdout)["footprints"]
+    scale = 400.0 * 2.41e-6 / 8.8e-3  # m of the ground in a pixel
+    assert found["area_km2"] == pytest.approx(
+        1e-6 * 5472 * 3648 * scale**2, rel=3e-4
+    )  # the area is that on the ellipsoid, below
+    assert found["columns_m"] == pytest.approx(scale, rel=1e-4)
+    for wrong, words in (
+        ([], "give the ground: either --dem FILE, or --ground HEIGHT"),
+        (["--ground", "1", "--style"], "--style needs --output FILE"),
+        (["--ground", "reported"], "--ground 'reported': expected a height in m"),
+        (["--ground", "1", "--nodata", "0"], "--nodata"),
+    ):
+        refused = CliRunner().invoke(app, [*line, *wrong])
+        assert refused.exit_code == 2
+        assert words in refused.stderr
