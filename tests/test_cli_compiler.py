@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import pathlib
 import subprocess
 import sys
 
 import pytest
-from jaxlib.version import __version__ as installed
 
 from jaxgeo.cli import _compiler
 from jaxgeo.cli._compiler import LITTLE, OLDER_EMITTER, TRIED, compile_quickly
 
+installed = importlib.metadata.version("jaxlib")
 STARTS = [sys.executable, "-c", "import jax; jax.devices()"]
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib.metadata
 import os
 import pathlib
 import subprocess
 import sys
-
-from jaxlib.version import __version__ as jaxlib_version
 
 from jaxgeo._program_cache import cache_folder, keep_programs
 from jaxgeo.cli._screen import working
@@ -37,7 +36,7 @@ def compile_quickly(samples_of_field: bool = False) -> None:
 
 def _knows(flags: str, folder: pathlib.Path | None) -> bool:
     """Whether XLA accepts the flags; tried once and noted in the cache folder, if there is one."""
-    if jaxlib_version in TRIED:
+    if importlib.metadata.version("jaxlib") in TRIED:
         return True
     note = None if folder is None else folder / f"knows-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
     if note is not None and note.exists():
