@@ -122,7 +122,8 @@ def is_known(tree: Any) -> bool:
 def by_numpy_if_known(function: Callable[..., Any], *values: Any) -> Any:
     """`function(xp, *values)`: by NumPy in a call by itself, where JAX would compile each operation; traced by JAX."""
     if trace_state_clean() and is_known(values):
-        return jax.device_put(function(np, *jax.tree.map(np.asarray, values)))
+        with np.errstate(all="ignore"):  # as JAX
+            return jax.device_put(function(np, *jax.tree.map(np.asarray, values)))
     return function(jnp, *values)
 
 

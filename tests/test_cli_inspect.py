@@ -318,6 +318,7 @@ def test_exterior_parameters_need_the_interior_ones(tmp_path: pathlib.Path) -> N
         read_acquisition(path)
 
 
+@pytest.mark.costly
 def test_real_telemetry_in_one_command(jaxgeo_test_data: pathlib.Path, tmp_path: pathlib.Path) -> None:
     output = tmp_path / "shots.csv"
     result = run(jaxgeo_test_data / "telemetry_klv" / "Cheyenne.bin", "--output", output)

@@ -145,6 +145,7 @@ def located(over_terrain):
     return uv, one_by_one(lambda pixel: jaxgeo.locate(sensor, shot, pixel, dem), uv)
 
 
+@pytest.mark.costly
 def test_the_round_trip_holds_over_terrain_and_hidden_ground_is_told(over_terrain, located):
     sensor, shot, dem = over_terrain
     uv, located = located

@@ -160,6 +160,7 @@ def test_samples_that_jump_are_marked_and_in_the_picture(ax) -> None:
     assert ax.get_xlim() == (-900.0, 900.0)
 
 
+@pytest.mark.costly
 def test_comparisons_that_cannot_be_drawn(ax) -> None:
     cases: tuple[tuple[Comparison, dict[str, Any], str], ...] = (
         (compared(keep=False), {}, "were not kept"),

@@ -186,6 +186,7 @@ def test_tiles_of_one_host_may_be_asked_for(observed) -> None:
             check_tiles(wrong)
 
 
+@pytest.mark.costly
 def test_no_ground_is_said(observed) -> None:
     with pytest.raises(NoGround, match=r"DJI_0042\.JPG, its middle: .*camera is below"):
         serve(observed, jaxgeo.ConstantHeight(3000.0), accuracy=False)

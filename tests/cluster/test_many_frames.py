@@ -126,6 +126,7 @@ def test_a_file_that_could_not_be_read_is_a_row_with_its_reason(tmp_path, with_u
     assert found["status_text"][58:60] == ["a.jpg: no image", "b.jpg: empty"]
 
 
+@pytest.mark.costly
 def test_parts_have_one_schema_and_a_summary(tmp_path: pathlib.Path, with_unread: Observations) -> None:
     """That of unread files has no values, which says nothing of their type."""
     run = locate_frames(tmp_path / "fixes", with_unread, GROUND, rows=30)

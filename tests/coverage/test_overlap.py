@@ -59,6 +59,7 @@ def seen(one: Shot, u: float, v: float) -> Geodetic:
     return locate(SENSOR, one, jnp.array([u, v]), GROUND).position
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("share", [0.15, 0.6, -0.2])
 def test_the_overlap_of_equal_images_is_the_step_s(share: float) -> None:
     """At the middle by the step over the frame's length, at the near end as by transforming coordinates."""

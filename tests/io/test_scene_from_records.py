@@ -137,6 +137,7 @@ def test_a_scene_that_is_refused_leaves_the_file_as_it_was(tmp_path: pathlib.Pat
     assert (tmp_path / "a.toml").read_text() == "precious"
 
 
+@pytest.mark.costly
 def test_limits_are_one_pair_for_each_reading_and_in_order(tmp_path: pathlib.Path) -> None:
     write_scene(tmp_path / "a.toml", *of("level"))
     text = (tmp_path / "a.toml").read_text()

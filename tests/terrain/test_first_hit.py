@@ -14,6 +14,8 @@ from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.status import count_statuses
 from jaxgeo.terrain import GeographicGrid, TangentGrid
 
+pytestmark = pytest.mark.costly
+
 WRONG_DISTANCE = 1e-3  # m
 TIE = 1e-6  # m of height
 
@@ -99,7 +101,6 @@ CASES = {
 }
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("name", CASES)
 def test_status(name):
     posts, (east, north, height), (azimuth, elevation), expected = CASES[name]
@@ -112,7 +113,6 @@ def test_status(name):
     assert fix.ok[0] == (expected is Status.hit)
 
 
-@pytest.mark.costly
 @pytest.mark.parametrize("elevation", [80.0, 20.0, 12.0])
 def test_a_camera_in_a_geostationary_orbit_sees_the_ground(elevation):
     """The origin lies far beyond where the grid's map means anything; the ground it sees does not."""
@@ -123,7 +123,6 @@ def test_a_camera_in_a_geostationary_orbit_sees_the_ground(elevation):
     assert fix.slant_range[0] == pytest.approx(3.95e7, abs=1e-6, rel=0)
 
 
-@pytest.mark.costly
 def test_a_ray_along_the_surface_is_near_tangent():
     posts = flat(100.0) + 30.0 * np.arange(SIZE)[:, None] * np.tan(np.deg2rad(20.0))
     rays = [
@@ -135,7 +134,6 @@ def test_a_ray_along_the_surface_is_near_tangent():
     assert np.all(np.isfinite(fix.ecef))
 
 
-@pytest.mark.costly
 def test_the_void_is_entered_at_its_ceiling_and_passed_above_it():
     ray = local_ray(95, 0, 1000)
     low, high = (hit([ray], small_dem(with_void(), void_ceiling=ceiling)) for ceiling in (400.0, 700.0))

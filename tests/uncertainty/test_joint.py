@@ -117,6 +117,7 @@ def test_a_common_boresight_shows_in_orthogonal_looks() -> None:
     np.testing.assert_allclose(np.sqrt(np.diagonal(np.asarray(cov))[:2]), 6.0 / math.sqrt(2.0), atol=0.1)
 
 
+@pytest.mark.costly
 def test_joint_covariance_is_one() -> None:
     model = ErrorModel((*attitude(PerFlight()).sources, sources.TerrainHeight.from_metres(3.0)))
     fixes = [propagate(SENSOR, shot_from(azimuth), MIDDLE, GROUND, model) for azimuth in (0.0, 40.0)]

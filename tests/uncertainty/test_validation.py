@@ -91,6 +91,7 @@ def test_a_stated_pixel_error_and_a_source_of_it_are_the_same(points, found) -> 
     np.testing.assert_allclose(other.covariance(), found.covariance(), atol=1e-12)  # m2
 
 
+@pytest.mark.costly
 def test_pixels_of_one_point_share_its_survey(points, found) -> None:
     names = np.array(["a", "a", *map(str, range(2, 12))])
     same = jax.tree.map(lambda x: np.concatenate([x[:1], x[:1], x[2:]]), points.position)
@@ -132,6 +133,7 @@ def test_sigmas_wrong_by_two_are_found_out(found, factor: float, words: str) -> 
         assert told.size.least < factor < told.size.most or abs(told.size.factor / factor - 1.0) < 0.5
 
 
+@pytest.mark.costly
 def test_a_bias_and_a_trend_are_named(found) -> None:
     error = normal(found, 1, 5)[0]
     up = np.sqrt(np.diag(found.covariance())[2::3])
@@ -166,6 +168,7 @@ def test_few_ranks_are_tested_by_all_their_orders(count: int) -> None:
     assert _rank_test(np.arange(3.0), np.arange(3.0))[1] == pytest.approx(2.0 / 6.0)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("error", [np.zeros(3), np.array([0.1, -0.2, 0.3])])
 def test_errors_without_scatter_are_told_of_without_warnings(found, error: np.ndarray) -> None:
     one = _compared(with_errors(found, np.tile(error, (12, 1))))
@@ -176,12 +179,14 @@ def test_errors_without_scatter_are_told_of_without_warnings(found, error: np.nd
     assert "slope, which is the same for all" in one.words
 
 
+@pytest.mark.costly
 def test_large_figures_are_in_full(found) -> None:
     words = _compared(with_errors(found, np.asarray(found.seen.error_enu) + 1000.0)).words
     assert "e+" not in words
     assert "east +1000 m" in words
 
 
+@pytest.mark.costly
 def test_shared_errors_count_for_fewer_points(found) -> None:
     one = _compared(found)
     across = [c for c in one.coverage if c.name.startswith("CE")]
