@@ -9,7 +9,7 @@ truth of a single measurement. No region is smaller than the smallest area that 
 of each terrain it is found from a million samples, by NumPy alone: cells of a histogram, in the order of the counts of
 half of the samples, until they hold 90 % of the other half. `--pieces` compares the shares of pieces with a million.
 
-Run: python benchmarks/regions.py [--targets 78] [--least 8] [--pieces 8] [--fresh 0]
+Run: python benchmarks/regions.py [--targets 78] [--least 4] [--pieces 8] [--fresh 0]
 """
 
 from __future__ import annotations
@@ -266,7 +266,7 @@ def main() -> None:
     """Run the study and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--targets", type=int, default=78, help="looks at each terrain")
-    parser.add_argument("--least", type=int, default=8, help="looks of each kind at each terrain with a smallest area")
+    parser.add_argument("--least", type=int, default=4, help="looks of each kind at each terrain with a smallest area")
     parser.add_argument("--pieces", type=int, default=8, help="looks of each class whose pieces are checked")
     parser.add_argument("--fresh", type=int, default=0, help="a number: other synthetic terrain and looks than before")
     options = parser.parse_args()

@@ -3,9 +3,11 @@
 An aircraft flies an arc of 90 degrees around the target, with looks every 5 s. Attitude errs by 0.2 degrees in each
 look and by 0.05 degrees that fade within a minute, the boresight by 0.08 degrees for the flight, the position by 3 to
 5 m, the pixel by 2 px, the DEM by 4 m and the geoid by 0.5 m for all looks. Truth and pixels are drawn by
-`simulate_looks`. On hills, targets are places of the packaged terrain that all looks see.
+`simulate_looks`. On hills, targets are places of the packaged terrain that all looks
+see. With 2000 runs a true covariance has NEES / 3 from 0.965 to 1.036 in 95 % of studies, with 500 from 0.930 to 1.073;
+of five scenes one or more is outside by chance in 23 % of studies, whatever the number of runs.
 
-Run: python benchmarks/tracking.py [--runs 500] [--looks 40]
+Run: python benchmarks/tracking.py [--runs 2000] [--looks 40]
 """
 
 from __future__ import annotations
@@ -163,6 +165,7 @@ def study(runs: int, count: int) -> list[Table]:
         least, most = scipy.stats.chi2.ppf([0.025, 0.975], degrees) / degrees
         row = [name, runs, *(f"{x:.3f}" for x in nees), f"{low:.3f} to {high:.3f}", f"{nis:.4f}"]
         consistency.rows.append([*row, f"{least:.4f} to {most:.4f}"])
+        print(consistency.rows[-1], file=sys.stderr, flush=True)
         rms = np.sqrt(np.mean(np.square([one.error[:3] for one in each]), axis=0))
         figures = [
             np.mean([float(x) for x in column])
@@ -198,7 +201,7 @@ def rate() -> Table:
 def main() -> None:
     """Run the study and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=500, help="simulated tracks of each scene")
+    parser.add_argument("--runs", type=int, default=2000, help="simulated tracks of each scene")
     parser.add_argument("--looks", type=int, default=40, help="looks of each track")
     options = parser.parse_args()
     for table in [*study(options.runs, options.looks), rate()]:
