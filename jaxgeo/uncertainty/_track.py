@@ -51,11 +51,11 @@ def track(
     derivatives as in `propagate`. On the terrain the height follows the DEM, whose height error is one of the
     errors. `batch` is the generalised least-squares estimate of all looks with their joint covariance, by
     Gauss-Newton. `filtered` is a recursive estimate after each look, linearised at what was known by then, with the
-    errors that are not fresh as states. Nothing is known of the target before the first look. Both are exact, and
-    equal at the last look, if the problem is linear; if they end at different places (`is_ambiguous`), the looks
-    fit several. Of errors that are not normal the variance is used (see `note`). The time grows in proportion to
-    the number of looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all larger
-    numbers.
+    errors that are not fresh as states; after 2, 4, 8 and more looks all are linearised anew at their common estimate,
+    until that no longer moves it. Nothing is known of the target before the first look. Both are exact, and equal at
+    the last look, if the problem is linear; if they end at different places (`is_ambiguous`), the looks fit several.
+    Of errors that are not normal the variance is used (see `note`). The time grows in proportion to the number of
+    looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all larger numbers.
 
     A look without a fix, or without a line of sight if the target is free in height, is left out and keeps its
     status; so are looks that graze the terrain. If the looks do not determine the position (free in height, from one
