@@ -20,7 +20,7 @@ from jaxgeo.io import example_dem
 from jaxgeo.ortho import Orthoimage, render
 from jaxgeo.register import Outcome, Prior, TieErrors, register_image
 from jaxgeo.register.registration import Registration
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor, Shot
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at, moved
 from jaxgeo.terrain import Dem, TangentGrid
 from jaxgeo.uncertainty import ErrorModel, sources
