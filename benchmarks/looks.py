@@ -95,12 +95,13 @@ class Cases(NamedTuple):
     scale: np.ndarray
 
 
-def cases(dem: Dem, count: int, seed: int) -> Cases:
-    """Observations of points in the middle half of a terrain, from above its highest post."""
+def cases(dem: Dem, count: int, seed: int, down: tuple[float, float] = (8.0, 60.0)) -> Cases:
+    """Observations of points in the middle half of a terrain, from above its highest post; `down` is the range of
+    depressions in degrees at the point, larger where the camera would be below that post."""
     rng = np.random.default_rng(seed)
     rows, cols = np.asarray(dem.extent)
     rowcol = rng.uniform(0.25, 0.75, (count, 2)) * (rows - 1, cols - 1)
-    azimuth, depression = rng.uniform(0.0, 2.0 * np.pi, count), np.deg2rad(rng.uniform(8.0, 60.0, count))
+    azimuth, depression = rng.uniform(0.0, 2.0 * np.pi, count), np.deg2rad(rng.uniform(*down, count))
     away = np.exp(rng.uniform(np.log(6e3), np.log(50e3), count))
     scale = np.exp(rng.uniform(np.log(0.15), np.log(3.0), count))
     return Cases(_poses(dem, *(jnp.asarray(x) for x in (rowcol, azimuth, depression, away))), scale)

@@ -3,14 +3,17 @@
 An aircraft flies an arc of 90 degrees around the target, with looks every 5 s. Attitude errs by 0.2 degrees in each
 look and by 0.05 degrees that fade within a minute, the boresight by 0.08 degrees for the flight, the position by 3 to
 5 m, the pixel by 2 px, the DEM by 4 m and the geoid by 0.5 m for all looks. Truth and pixels are drawn by
-`simulate_looks`. On hills, targets are places of the packaged terrain that all looks see.
+`simulate_looks`. On hills, targets are places of the packaged terrain that all looks
+see. With 2000 runs a true covariance has NEES / 3 from 0.965 to 1.036 in 95 % of studies, with 500 from 0.930 to 1.073;
+of five scenes one or more is outside by chance in 23 % of studies, whatever the number of runs.
 
-Run: python benchmarks/tracking.py [--runs 500] [--looks 40]
+Run: python benchmarks/tracking.py [--runs 2000] [--looks 40]
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import pathlib
 import sys
@@ -48,11 +51,13 @@ class Scene(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A track; horizontal error in m and NEES of one look, batch, filter and the filter of independent looks."""
+    """A track; horizontal error in m and NEES of one look, batch, filter and the filter of independent looks; CE90 in m
+    of the batch, that the filter of independent looks claims, and that it has."""
 
     found: Track
     error: tuple[float, ...]
     nees: tuple[float, ...]
+    ce90: tuple[float, ...]
 
 
 def errors() -> ErrorModel:
@@ -119,7 +124,9 @@ def run(one: Scene, target: Any, seed: int) -> Run:
         error = np.asarray(R_ecef_from_enu(state.position)).T @ (np.asarray(state.p_ecef) - np.asarray(truth))
         off.append(math.hypot(*error[:2]))
         nees.append(float(error @ np.linalg.solve(np.asarray(state.cov_enu), error)))
-    return Run(found, tuple(off), tuple(nees))
+    claimed = found.independent[-1]
+    actual = dataclasses.replace(claimed, cov_enu=found.actual_enu[-1])
+    return Run(found, tuple(off), tuple(nees), tuple(float(one.ce90) for one in (found.batch, claimed, actual)))
 
 
 CONSISTENCY = [
@@ -163,15 +170,10 @@ def study(runs: int, count: int) -> list[Table]:
         least, most = scipy.stats.chi2.ppf([0.025, 0.975], degrees) / degrees
         row = [name, runs, *(f"{x:.3f}" for x in nees), f"{low:.3f} to {high:.3f}", f"{nis:.4f}"]
         consistency.rows.append([*row, f"{least:.4f} to {most:.4f}"])
+        print(consistency.rows[-1], file=sys.stderr, flush=True)
         rms = np.sqrt(np.mean(np.square([one.error[:3] for one in each]), axis=0))
-        figures = [
-            np.mean([float(x) for x in column])
-            for column in zip(
-                *[(one.found.batch.ce90, one.found.independent.ce90[-1], one.found.actual_ce90[-1]) for one in each],
-                strict=True,
-            )
-        ]
-        over = float(np.mean([one.found.overconfidence[-1] for one in each]))
+        figures = np.mean([one.ce90 for one in each], axis=0)
+        over = float(np.mean([one.ce90[2] / one.ce90[1] for one in each]))
         gain.rows.append([name, *map(float, rms), *map(float, figures), over])
     return [consistency, gain]
 
@@ -198,7 +200,7 @@ def rate() -> Table:
 def main() -> None:
     """Run the study and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=500, help="simulated tracks of each scene")
+    parser.add_argument("--runs", type=int, default=2000, help="simulated tracks of each scene")
     parser.add_argument("--looks", type=int, default=40, help="looks of each track")
     options = parser.parse_args()
     for table in [*study(options.runs, options.looks), rate()]:

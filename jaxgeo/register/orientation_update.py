@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
@@ -50,7 +51,8 @@ def update_orientation(
     `sensor`, `shot` (or a trajectory with the image's `time` in s), `terrain` and `atmosphere` are those of the
     navigation, as for `jaxgeo.locate`. `errors` is the navigation's `ErrorModel`, or a tuple of sources: its error
     vector is estimated together with the map shift. All sources can be included (position, attitude, gimbal, boresight,
-    interior orientation, a common terrain height, ...); components that the ties do not determine keep their prior.
+    interior orientation, a common terrain height, ...); components that the ties do not determine keep their prior. A
+    `TerrainHeightRaster` is one standard normal number: it raises the ground at each tie by its value there.
     `ties` are the matched points, `tie_errors` the errors of map and terrain there.
 
     The residual of a tie is its pixel less the projection of its map position, corrected for the map shift and placed
@@ -66,7 +68,8 @@ def update_orientation(
     `not_converged` and NaN.
     Raises `TypeError` for arguments of the wrong kind and float32, `RuntimeError` with 64-bit floats off. `ValueError`
     for no ties, shapes that do not fit, numbers that are not finite, ties over unknown terrain (by number), more than
-    4096 ties, a `TerrainField` among `errors` (it belongs in `tie_errors`), ties without any error, as
+    4096 ties, a `TerrainField` among `errors` (it belongs in `tie_errors`), a `TerrainHeightRaster` that is not known
+    at all ties or of a terrain that is no `Dem`, ties without any error, as
     `jaxgeo.uncertainty.propagate` does for errors, and for a single tie whose prior uncertainty exceeds ten of its
     standard deviations: a wrong match could not be detected.
     """
@@ -78,7 +81,7 @@ def update_orientation(
     check_is(propagation, AbstractTiePropagation, "propagation")
     inputs = ModelInputs(Exposure(sensor, shot, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
     model = checked_model(errors, inputs)
-    _check_sources(model)
+    _check_sources(model, terrain, ties)
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
     loss = as_float64(loss, "loss")
     solution = solve(Problem(inputs, model, padded(ties), tie_errors, prior, loss, propagation))
@@ -124,13 +127,10 @@ def _first(values: Any, count: int) -> Any:
     return values[:count] if known is None else jnp.asarray(known[:count])  # without compiling for each count
 
 
-def _check_sources(model: ErrorModel) -> None:
+def _check_sources(model: ErrorModel, terrain: AbstractTerrain, ties: TiePoints) -> None:
     for number, source in enumerate(model.sources):
         if isinstance(source, TerrainHeightRaster):
-            raise ValueError(
-                f"errors[{number}] is a TerrainHeightRaster, which differs from tie to tie; state what is common to "
-                "all as a TerrainHeight, and the rest as TieErrors(terrain_field=...)."
-            )
+            _check_raster(f"errors[{number}]", source, terrain, ties)
         if isinstance(source, TerrainField):
             raise ValueError(
                 f"errors[{number}] is a TerrainField, which is an error along one line of sight; for the ground at the "
@@ -138,15 +138,34 @@ def _check_sources(model: ErrorModel) -> None:
             )
 
 
+def _check_raster(name: str, source: TerrainHeightRaster, terrain: AbstractTerrain, ties: TiePoints) -> None:
+    if not isinstance(terrain, Dem):
+        raise ValueError(
+            f"{name} is a TerrainHeightRaster, which raises the posts of a Dem; this terrain is a "
+            f"{type(terrain).__name__}. State a TerrainHeight in its place."
+        )
+    known = concrete(source.known_at(ties.ground.lat, ties.ground.lon))
+    if known is not None and not known.all():
+        lost = np.flatnonzero(~known).tolist()
+        raise ValueError(
+            f"{name}: no standard deviation is known at {len(lost)} of {ties.count} ties: {_listed(lost)}. They lie "
+            "off the raster, or beside a void of it. Read one that covers the ground, leave these ties out, or state "
+            "a TerrainHeight."
+        )
+
+
+def _listed(ties: list[int]) -> str:
+    return ", ".join(str(tie) for tie in ties[:20]) + (", ..." if len(ties) > 20 else "")
+
+
 def _check_ground(solution: Solution, count: int) -> None:
     known = concrete(solution.has_ground)
     if known is None or known[:count].all():
         return
     lost = [tie for tie in range(count) if not known[tie]]
-    named = ", ".join(str(tie) for tie in lost[:20]) + (", ..." if len(lost) > 20 else "")
     raise ValueError(
-        f"{len(lost)} of {count} ties lie outside the terrain or over a void: {named}. Leave them out, or load a "
-        "larger terrain."
+        f"{len(lost)} of {count} ties lie outside the terrain or over a void: {_listed(lost)}. Leave them out, or load "
+        "a larger terrain."
     )
 
 

@@ -1,4 +1,10 @@
-"""Restricted likelihood of variance components: its minimum over their scales, and limits of each."""
+"""Restricted likelihood of variance components: its minimum over their scales, and limits of each.
+
+By NumPy and SciPy, without a program: calibrations of 3 flights of 8 images with 3 and with 9 factors make 130
+minimisations in 0.9 s of processor time. `optimistix.BFGS` with the derivatives of JAX ends at the same minima, to 4e-6
+of the misfit, but compiles for 1.5 s with 3 factors and 6.4 s with 9, anew for each number of points, and takes ten
+times as long after that. The Newton and trust-region methods of optimistix are for roots and least squares.
+"""
 
 from __future__ import annotations
 

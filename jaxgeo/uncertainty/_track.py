@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._arguments import check_terrain
@@ -15,10 +14,10 @@ from jaxgeo._locate import FIRST_HIT
 from jaxgeo.sensor import Trajectory
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
-from jaxgeo.uncertainty.host_arrays import concatenate, on_host, take
-from jaxgeo.uncertainty.look_equations import About
-from jaxgeo.uncertainty.look_filter import FAST, UNDETERMINED, AfterLook, Carry, Mode, filtered, start_of
-from jaxgeo.uncertainty.look_scene import Scene, in_order, lines_of_all, scene_of
+from jaxgeo.uncertainty.host_arrays import take
+from jaxgeo.uncertainty.look_filter import FAST, UNDETERMINED, AfterLook
+from jaxgeo.uncertainty.look_passes import about_one, after_each, batch_of_all, last_of, mode_of
+from jaxgeo.uncertainty.look_scene import in_order, lines_of_all, scene_of
 from jaxgeo.uncertainty.looks import Looks, checked_looks
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -28,10 +27,6 @@ from jaxgeo.uncertainty.target_motion import AbstractTarget, AtRest
 from jaxgeo.uncertainty.track_record import TargetState, Track
 
 AT_REST = AtRest()
-ROUNDS = 3  # linearisations of the filter at each look
-MOST_ROUNDS, DAMPED_AFTER = 40, 8  # linearisations of the batch; later steps are halved every few rounds
-NEAR_ENOUGH = 1e-3  # of the standard deviation: longest last step where the ground has kinks, after damping
-CLOSE_ENOUGH = 1e-5  # m, and of the standard deviation: longest last step
 NO_FRESH = 1e-4  # factor of fresh errors for the floor
 
 
@@ -56,11 +51,11 @@ def track(
     derivatives as in `propagate`. On the terrain the height follows the DEM, whose height error is one of the
     errors. `batch` is the generalised least-squares estimate of all looks with their joint covariance, by
     Gauss-Newton. `filtered` is a recursive estimate after each look, linearised at what was known by then, with the
-    errors that are not fresh as states. Nothing is known of the target before the first look. Both are exact, and
-    equal at the last look, if the problem is linear; if they end at different places (`is_ambiguous`), the looks
-    fit several. Of errors that are not normal the variance is used (see `note`). The time grows in proportion to
-    the number of looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all larger
-    numbers.
+    errors that are not fresh as states; after 2, 4, 8 and more looks all are linearised anew at their common estimate,
+    until that no longer moves it. Nothing is known of the target before the first look. Both are exact, and equal at
+    the last look, if the problem is linear; if they end at different places (`is_ambiguous`), the looks fit several.
+    Of errors that are not normal the variance is used (see `note`). The time grows in proportion to the number of
+    looks. One set of compiled programs serves up to 16 looks, one up to 128, and one all larger numbers.
 
     A look without a fix, or without a line of sight if the target is free in height, is left out and keeps its
     status; so are looks that graze the terrain. If the looks do not determine the position (free in height, from one
@@ -98,10 +93,11 @@ def track(
     _check_enough(status, times, target)
     scene, at_start = scene_of(lines, order, sensor, terrain, shared, target)
 
-    batch, rounds, has_converged = _batch(scene, at_start)
-    recursive = _run(scene, About(np.zeros_like(at_start), np.zeros(())), _mode(rounds=ROUNDS))
-    solution = _last(batch)
-    independent, floor = _run(scene, solution, _mode(shared=0.0)), _run(scene, solution, _mode(fresh=NO_FRESH))
+    batch, rounds, has_converged = batch_of_all(scene, at_start)
+    recursive = after_each(scene)
+    solution = last_of(batch)
+    independent = about_one(scene, solution, mode_of(shared=0.0))
+    floor = about_one(scene, solution, mode_of(fresh=NO_FRESH))
     last = jax.tree.map(lambda leaf: leaf[-1:], batch)
     return Track(
         times,
@@ -187,41 +183,6 @@ def _check_enough(status: np.ndarray, times: np.ndarray, target: AbstractTarget)
             f"a {target.words} needs looks at different times; all are at {times[used][0]:g} s. Give the time of each "
             "shot, or times=."
         )
-
-
-def _mode(shared: float = 1.0, fresh: float = 1.0, rounds: int = 0) -> Mode:
-    return Mode(jnp.asarray(shared), jnp.asarray(fresh), jnp.asarray(rounds))
-
-
-def _run(scene: Scene, about: About, mode: Mode) -> AfterLook:
-    """Estimates after each look as NumPy arrays (n, ...), about one state if the mode says so."""
-    carry: Carry = start_of(scene.target, scene.counts)
-    parts = []
-    for lines, used in scene.blocks:
-        carry, after = filtered(carry, lines, used, about, scene.world, mode, scene.target, scene.counts)
-        parts.append(on_host(after))
-    return concatenate(parts, scene.count)
-
-
-def _last(found: AfterLook) -> About:
-    """The state after the last look."""
-    return jax.tree.map(lambda leaf: leaf[-1], found.about)
-
-
-def _batch(scene: Scene, start: np.ndarray) -> tuple[AfterLook, int, bool]:
-    """(estimates after each look, all linearised at the estimate of all; number of rounds; whether it converged)."""
-    about = About(start, np.zeros(()))
-    for number in range(MOST_ROUNDS):
-        found = _run(scene, about, _mode())
-        after = _last(found)
-        step, turned = after.state - about.state, abs(after.reach - about.reach)
-        longest = max(np.max(np.abs(step[: scene.target.axes])), turned)
-        damped = number - DAMPED_AFTER
-        if longest <= max(CLOSE_ENOUGH * (1.0 + after.reach), NEAR_ENOUGH * after.reach if damped >= 0 else 0.0):
-            return found, number + 1, True
-        state = about.state + (step if damped < 0 else 0.5 ** (1 + damped // DAMPED_AFTER) * step)
-        about = About(state, after.reach)
-    return found, MOST_ROUNDS, False
 
 
 def _states(after: AfterLook, times: np.ndarray, has_converged: bool = True) -> TargetState:

@@ -106,19 +106,30 @@ def filtered(
     carry: Carry,
     lines: Lines,
     used: Any,
+    span: Any,
     about: About,
     world: World,
     mode: Mode,
     target: AbstractTarget,
     counts: tuple[int, int, int],
 ) -> tuple[Carry, AfterLook]:
-    """The filter after a block of looks (leading axis), and its estimates after each.
+    """The filter after the looks `span` = (first, last + 1) of a block (leading axis), and its estimates after each;
+    zeros for the other looks.
 
     With `mode.rounds` 0 all looks are linearised `about` one state.
     """
     layout = _Layout(target, counts)
-    step = lambda carry, look: _step(carry, look[0], look[1], about, world, mode, layout)  # noqa: E731
-    return jax.lax.scan(step, carry, (lines, used))
+
+    def step(number: Any, before: tuple[Carry, AfterLook]) -> tuple[Carry, AfterLook]:
+        line, is_used = jax.tree.map(lambda x: x[number], (lines, used))
+        after, found = _step(before[0], line, is_used, about, world, mode, layout)
+        return after, jax.tree.map(lambda whole, one: whole.at[number].set(one), before[1], found)
+
+    carry = jax.tree.map(jnp.asarray, carry)
+    look = jax.tree.map(lambda x: x[0], (lines, used))
+    _, shape = jax.eval_shape(lambda look: _step(carry, look[0], look[1], about, world, mode, layout), look)
+    empty = jax.tree.map(lambda x: jnp.zeros((used.shape[0], *x.shape), x.dtype), shape)
+    return jax.lax.fori_loop(span[0], span[1], step, (carry, empty))
 
 
 class _Layout(NamedTuple):

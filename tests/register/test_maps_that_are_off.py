@@ -20,9 +20,9 @@ from jaxgeo.io import example_dem
 from jaxgeo.ortho import Orthoimage, render
 from jaxgeo.register import Outcome, Prior, TieErrors, register_image
 from jaxgeo.register.registration import Registration
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor, Shot
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at, moved
-from jaxgeo.terrain import Dem
+from jaxgeo.terrain import Dem, TangentGrid
 from jaxgeo.uncertainty import ErrorModel, sources
 
 pytestmark = pytest.mark.slow
@@ -101,6 +101,20 @@ def test_a_shift_that_is_known_before_is_used(reference: Orthoimage, image: np.n
     assert found.accepted, str(found)
     apart, sigmas = off(found)
     assert np.all(np.abs(apart) < 3.0 * sigmas)
+
+
+def test_a_constant_raster_of_height_errors_is_a_terrain_height(reference: Orthoimage, image: np.ndarray) -> None:
+    given, navigation = disturbed(shot(), np.random.default_rng(3), metres=2.0, degrees=0.02), errors(2.0, 0.02)
+    grid = TangentGrid.centred(TARGET, spacing=(5000.0, 5000.0), shape=(5, 5))
+    raster = sources.TerrainHeightRaster.from_array(np.full((5, 5), 4.0), grid)
+    both = [
+        register_image(SENSOR, given, image, reference, DEM, (*navigation.sources, height), map_errors(1.0))
+        for height in (raster, sources.TerrainHeight.from_metres(4.0))
+    ]
+    assert both[0].accepted, str(both[0])
+    (ours, sigmas), (theirs, others) = (off(one) for one in both)
+    np.testing.assert_allclose(ours, theirs, atol=0.01)
+    np.testing.assert_allclose(sigmas, others, rtol=0.01)
 
 
 def refused(found: Registration) -> Any:

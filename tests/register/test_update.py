@@ -412,6 +412,37 @@ def test_bias_of_the_terrain_goes_on_to_the_fix():
     assert float(fix.cov_enu[2, 2]) < 0.05**2 < float(result.fix((700.0, 420.0), 2.0).cov_enu[2, 2])
 
 
+UNEVEN = np.tile(np.linspace(0.5, 4.0, 17), (17, 1)) + np.linspace(0.0, 1.0, 17)[:, None]
+
+
+def uneven(posts: Any) -> ErrorModel:
+    """A sure navigation, and heights of the terrain with the standard deviations of a raster."""
+    return ErrorModel((*SURE.sources[:2], errors_of.TerrainHeightRaster.from_array(posts, SLOPE.grid)))
+
+
+@pytest.mark.slow
+def test_a_raster_of_standard_deviations_is_one_number_times_the_value_at_each_tie():
+    """The terrain is too low by 1.5 times the raster: found, corrected everywhere, and carried to the fix."""
+    low = small_dem(np.asarray(SLOPE.posts) - 1.5 * UNEVEN)
+    tie_errors = TieErrors(registration=0.05, terrain=0.05)
+    result: Any = update_orientation(looks.sensor(), looks.shot(), dem_ties(SLOPE), low, uneven(UNEVEN), tie_errors)
+    np.testing.assert_allclose(result.error[6], 1.5, atol=0.02)
+    assert 0.0 < float(result.cov_error[6, 6]) < 0.05**2
+    for tie in (0, 5, 11):
+        here = jax.tree.map(lambda x: x[tie], dem_ties(SLOPE).ground)  # noqa: B023
+        np.testing.assert_allclose(result.terrain.height_at(here), SLOPE.height_at(here), atol=0.05)
+    truth = locate(looks.sensor(), looks.shot(), (700.0, 420.0), SLOPE)
+    np.testing.assert_allclose(result.fix((700.0, 420.0)).fix.ecef, truth.ecef, atol=0.05)
+
+
+def test_a_raster_must_be_known_at_all_ties_and_raise_posts():
+    holed = np.where(np.arange(17) < 9, UNEVEN, np.nan)
+    with pytest.raises(ValueError, match=r"errors\[2\]: no standard deviation is known at \d+ of 12 ties: \d+"):
+        update_orientation(looks.sensor(), looks.shot(), dem_ties(SLOPE), SLOPE, uneven(holed), TIE_ERRORS)
+    with pytest.raises(ValueError, match=r"errors\[2\] is a TerrainHeightRaster, .* this terrain is a ConstantHeight"):
+        update_orientation(looks.sensor(), looks.shot(), dem_ties(SLOPE), GROUND, uneven(UNEVEN), TIE_ERRORS)
+
+
 @pytest.mark.slow
 def test_trajectory_is_corrected_as_a_shot():
     model, tie_errors = platform(0.5), TieErrors(registration=1.0, terrain=1.0)

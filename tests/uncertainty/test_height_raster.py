@@ -18,8 +18,9 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.uncertainty import ErrorModel, PerMeasurement, budget, joint_covariance, sample, sources
 from jaxgeo.uncertainty.distributions import Laplace
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
-from jaxgeo.uncertainty.sources.height_raster import sigma_at
+from jaxgeo.uncertainty.sources.height_raster import RasterField, sigma_at
 from tests.support import looks
 
 SHAPE = 31, 21
@@ -143,6 +144,27 @@ def test_shared_errors_of_two_fixes_are_one_number_times_the_value_at_each(
         np.testing.assert_allclose(found, [[correlation * a * b]], rtol=1e-14)
         joint = np.asarray(joint_covariance(both).cov_ecef)
         np.testing.assert_allclose(np.trace(joint[:3, :3]), np.trace(both[0].cov_enu), rtol=1e-9)
+
+
+def test_without_a_fix_it_raises_each_post_by_one_number_times_the_value_there(posts: np.ndarray) -> None:
+    """On the posts of a terrain on the same grid by the values themselves, and not at all where they are unknown."""
+    grid = TangentGrid.centred(Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0), spacing=(50.0, 80.0), shape=SHAPE)
+    holed = np.where(np.arange(SHAPE[1]) > 15, np.nan, posts)
+    source = sources.TerrainHeightRaster.from_array(holed, grid)
+    field = RasterField(jnp.asarray(-1.5), source.posts, grid, grid)
+    at = jax.jit(jax.vmap(jax.vmap(field.at, in_axes=(None, 0)), in_axes=(0, None)))
+    found = np.asarray(at(jnp.arange(SHAPE[0], dtype=float), jnp.arange(SHAPE[1], dtype=float)))
+    known = np.broadcast_to(np.arange(SHAPE[1]) <= 14, SHAPE)
+    np.testing.assert_allclose(found[known], -1.5 * posts[known], rtol=1e-9)
+    np.testing.assert_array_equal(found[:, 16:], 0.0)
+    low, high = (float(x) for x in field.bounds())
+    assert low == pytest.approx(-1.5 * np.nanmax(holed))
+    assert high == 0.0
+    exposure = jaxgeo.Exposure(SCENE[0], SCENE[1], jnp.zeros(()))
+    with pytest.raises(
+        TypeError, match=r"a raster of standard deviations raises the posts of a Dem; this terrain is a"
+    ):
+        source.moved(ModelInputs(exposure, jnp.zeros(2), looks.LEVEL), jnp.ones(1))
 
 
 def test_a_distribution_is_kept(grid: TangentGrid, posts: np.ndarray) -> None:

@@ -128,7 +128,8 @@ def run(lines: Lines, *, shared: float = 1.0, rounds: int = 3, before: Any = BEF
     padded = jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), lines)
     mode = Mode(*(jnp.asarray(x) for x in (shared, 1.0, rounds)))
     used = jnp.asarray(np.arange(size) < COUNT)
-    _, after = filtered(start._replace(R=R), padded, used, About(np.zeros(6), np.zeros(())), WORLD, mode, FREE, COUNTS)
+    about, span = About(np.zeros(6), np.zeros(())), np.array([0, COUNT])
+    _, after = filtered(start._replace(R=R), padded, used, span, about, WORLD, mode, FREE, COUNTS)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[:COUNT], after)
 
 
@@ -611,6 +612,21 @@ def test_a_look_beside_the_edge_of_the_terrain_is_that_of_linear_propagation(eas
     found = track(looks, ground, ErrorModel((errors,))).batch
     one = propagate(SENSOR, looks.shots[0], MIDDLE, ground, ErrorModel((errors,)))
     np.testing.assert_allclose(found.cov_enu, one.cov_enu, rtol=1e-2, atol=1e-2 * float(np.max(one.cov_enu)))
+
+
+@pytest.mark.costly
+def test_the_filter_takes_the_first_looks_anew_where_the_ground_is_curved() -> None:
+    """After two and four looks, and at the last, it is the batch of the looks so far."""
+    ridge = hilly(lambda x: 600.0 + 150.0 * np.exp(-((x / 200.0) ** 2)))
+    rows = (60.0, -70.0, 50.0, -30.0, 10.0, -20.0)
+    looks = looks_towards(-60.0, 130.0, 1500.0, 6, rows)
+    errors = ErrorModel((dataclasses.replace(PIXEL, sigma=np.array([60.0, 60.0])),))
+    found = track(looks, ridge, errors)
+    for count in (2, 4, 6):
+        first = Looks(SENSOR, looks.shots[:count], looks.uvs[:count])
+        alone = track(first, ridge, errors).batch
+        apart = np.linalg.norm(found.filtered.p_ecef[count - 1] - np.asarray(alone.p_ecef))
+        assert apart < 0.02 * math.sqrt(np.trace(np.asarray(alone.cov_enu)))
 
 
 @pytest.mark.costly

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,8 @@ from jaxgeo._compile import quick_filter_jit
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.status import have_fix
+from jaxgeo.terrain import Dem
+from jaxgeo.terrain.field import AbstractField, Bounds
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sharing import AbstractSharing, Systematic
@@ -31,7 +34,9 @@ class TerrainHeightRaster(AbstractSource):
     `posts` (rows, cols) are standard deviations in m on a `grid` of their own, NaN where unknown; `sigma` is a factor
     on them. At an observation the source is a `TerrainHeight` with the value at the fix, bilinear between the four
     posts around it: the error is the same at all ground that lines of sight of that observation reach. Shared errors of
-    two observations (`sharing`) are one standard normal number times the value at each.
+    two observations (`sharing`) are one standard normal number times the value at each. Where many places of the ground
+    are used at once, as in `jaxgeo.register.update_orientation`, the error is that number, and raises each post of the
+    terrain by it times the value there (0 where unknown).
 
     Where a fix lies off the raster, or one of the four posts is unknown, functions of one fix raise `ValueError`. Of
     many fixes such a one has infinite figures with a `failed` share of 1 by samples, and NaN without samples or under
@@ -87,16 +92,47 @@ class TerrainHeightRaster(AbstractSource):
             )
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
-        raise TypeError(
-            f"{self.label}: its standard deviation is that at a fix, and none is looked for here; state a "
-            "TerrainHeight in its place."
-        )
+        terrain = inputs.terrain
+        if not isinstance(terrain, Dem):
+            raise TypeError(
+                f"{self.label}: without a fix at which it is one height, a raster of standard deviations raises the "
+                f"posts of a Dem; this terrain is a {type(terrain).__name__}. State a TerrainHeight in its place."
+            )
+        field = RasterField(jnp.asarray(error)[0], self.posts, self.grid, terrain.grid)
+        return eqx.tree_at(lambda inputs: inputs.terrain, inputs, terrain.with_field(field))
+
+    def known_at(self, lat: ArrayLike, lon: ArrayLike) -> Any:
+        """Whether the standard deviation is known at places, in rad (n,)."""
+        return _known_at(self.posts, self.grid, jnp.asarray(lat), jnp.asarray(lon))
+
+
+class RasterField(AbstractField):
+    """Heights in m added to the posts of a terrain: `factor` times a raster `posts` (rows, cols) in m on its own grid,
+    bilinear, 0 where it is unknown; `of` is the terrain's grid."""
+
+    factor: Scalar
+    posts: Float[Array, "... rows cols"]
+    grid: AbstractGrid
+    of: AbstractGrid
+
+    def at(self, row: Scalar, col: Scalar) -> Scalar:
+        value = _value_at(self.posts, self.grid, self.of.normal(jnp.stack([row, col])))
+        return self.factor * jnp.where(jnp.isnan(value), 0.0, value)
+
+    def bounds(self) -> Bounds:
+        most = self.factor * jnp.max(jnp.where(jnp.isnan(self.posts), 0.0, self.posts))
+        return jnp.minimum(most, 0.0), jnp.maximum(most, 0.0)
 
 
 def sigma_at(posts: Float[Array, "rows cols"], grid: AbstractGrid, p_ecef: Vector3) -> Scalar:
     """Value at an ECEF point, bilinear; NaN off the posts, and beside unknown ones."""
+    return _value_at(posts, grid, WGS84.normal_and_height(p_ecef)[0])
+
+
+def _value_at(posts: Float[Array, "rows cols"], grid: AbstractGrid, normal: Vector3) -> Scalar:
+    """`sigma_at` by the ellipsoid's normal."""
     rows, cols = posts.shape
-    rowcol = grid.rowcol(WGS84.normal_and_height(p_ecef)[0])
+    rowcol = grid.rowcol(normal)
     last = jnp.array([rows - 1.0, cols - 1.0])
     inside = jnp.all((rowcol >= -ON_EDGE) & (rowcol <= last + ON_EDGE))
     place = jnp.where(inside, rowcol, 0.0)
@@ -111,6 +147,12 @@ def sigma_at(posts: Float[Array, "rows cols"], grid: AbstractGrid, p_ecef: Vecto
 
 
 _sigma_at = quick_filter_jit(sigma_at)
+
+
+@quick_filter_jit
+def _known_at(posts: Any, grid: AbstractGrid, lat: Any, lon: Any) -> Any:
+    normal = jnp.stack([jnp.cos(lat) * jnp.cos(lon), jnp.cos(lat) * jnp.sin(lon), jnp.sin(lat)], axis=-1)
+    return ~jnp.isnan(jax.vmap(lambda one: _value_at(posts, grid, one))(normal))
 
 
 OF_TERRAIN = TerrainHeight | TerrainField | TerrainHeightRaster  # errors of the height of the terrain
