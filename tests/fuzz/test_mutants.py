@@ -93,7 +93,7 @@ def test_each_format_was_held_against_what_others_wrote_or_published(tests: str)
 def test_no_reader_catches_everything() -> None:
     """What a decoder raises is caught by its name: `except Exception` would tell a mistake of our own as damage."""
     for path in (pathlib.Path(__file__).parents[2] / "jaxgeo" / "io").rglob("*.py"):
-        # A fault in one file does not stop the others: it is kept, and called a fault. And pymavlink raises `Exception`.
+        # A fault in one file does not stop the others: it is kept, and called a fault. pymavlink raises `Exception`.
         if path.name in ("several.py", "ardupilot.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
