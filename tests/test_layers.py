@@ -62,6 +62,7 @@ HEAVY_ELSEWHERE = {  # imported on call
 # Functions whose NumPy calls in jitted code see no traced values, though the search cannot tell.
 STATIC_NUMPY = {
     ("jaxgeo/_checks.py", "concrete"): "returns None for traced values before it calls NumPy",
+    ("jaxgeo/_checks.py", "by_numpy_if_known"): "leaves traced values to JAX",
     ("jaxgeo/_checks.py", "_leaf_as_float64"): "takes the dtype of a Python number",
     ("jaxgeo/_arguments.py", "check_on_image"): "uses the image size, static fields of the camera",
     ("jaxgeo/_arguments.py", "thrown"): "is called with throw=True only, which check_throw refuses for traced values",
