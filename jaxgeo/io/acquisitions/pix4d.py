@@ -156,7 +156,8 @@ def _camera(image: _Image) -> FrameCamera:
         raise TableError(f"{image.where}: its camera matrix has a skew or is none.")
     if not (0.0 < K[0, 0] <= MOST_PIXELS and 0.0 < K[1, 1] <= MOST_PIXELS):
         raise TableError(f"{image.where}: focal lengths must be positive; got {K[0, 0]:g}, {K[1, 1]:g} pixels.")
-    return frame_camera_of(image.size, (K[0, 0], K[1, 1]), (K[0, 2], K[1, 2]), *image.numbers[3:5])
+    radial, tangential = (numbers.tolist() for numbers in image.numbers[3:5])
+    return frame_camera_of(image.size, (K[0, 0], K[1, 1]), (K[0, 2], K[1, 2]), radial, tangential)
 
 
 def _beside(path: pathlib.Path, ending: str) -> pathlib.Path:
