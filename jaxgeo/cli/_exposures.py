@@ -109,6 +109,11 @@ class ExposureOptions(OptionGroup):
         """The exposures; assumptions and unread files are printed on stderr. Raises `UserError`, and as the readers."""
         if self.is_scene:
             return GivenExposures(self._of_scene(reading.height_datum, needed_by))
+        observed = self.read_files(reading)
+        return GivenExposures(_in_order(observed), True, _reasons(observed))
+
+    def read_files(self, reading: ReadingOptions) -> Observations:
+        """What the files hold; assumptions and unread files are printed on stderr. Raises as the readers."""
         from jaxgeo.io import read_observations
 
         files = self.files or []
@@ -120,7 +125,7 @@ class ExposureOptions(OptionGroup):
             if not any(word in one for word in OF_ERRORS):
                 print_note(f"assumed: {one}")
         print_unread(observed.unread.values())
-        return GivenExposures(_in_order(observed), True, _reasons(observed))
+        return observed
 
     def _of_scene(self, height_datum: str | None, needed_by: str) -> list[GivenExposure]:
         from jaxgeo.cli._inputs import shot_of, shots_of

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._exposures import OF_ERRORS, ExposureOptions
+from jaxgeo.cli._exposures import ExposureOptions
 from jaxgeo.cli._inputs import trajectory_of
-from jaxgeo.cli._option_names import as_typed
 from jaxgeo.cli._screen import print_note
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Trajectory
@@ -57,7 +56,6 @@ class FlightOptions(ExposureOptions):
 
     def flight(self, reading: ReadingOptions) -> Flight:
         """The flight; assumptions and unread files are printed on stderr. Raises `UserError`, and as the readers."""
-        from jaxgeo.io import read_observations
         from jaxgeo.io.scene import read_scene
 
         if self.is_scene:
@@ -66,16 +64,7 @@ class FlightOptions(ExposureOptions):
             scene = read_scene(self.scene_file)
             records = trajectory_of(scene, self.scene_file, self.navigation, reading.height_datum)
             return Flight(scene.sensor, records, scene.atmosphere)
-        files = self.files or []
-        with reading_files(files) as progress:
-            observed = read_observations(
-                files, scene=self.scene, exposures=self.names or (), progress=progress, **reading.arguments
-            )
-        for one in map(as_typed, observed.assumed):
-            if not any(word in one for word in OF_ERRORS):
-                print_note(f"assumed: {one}")
-        print_unread(observed.unread.values())
-        found = flight_of(observed)
+        found = flight_of(self.read_files(reading))
         print_note(f"times are s after the first exposure, at {found.started:.3f} s by the clock of the file.")
         return found
 
