@@ -154,7 +154,7 @@ def within_row(name: str, all_of: Judged) -> list[Any]:
 def stated_row(name: str, all_of: Judged) -> list[Any]:
     is_linear = np.isfinite(all_of.stated)
     one: Judged = jax.tree.map(lambda x: x[is_linear], all_of)
-    miss, half = off(one.stated, one.truth), np.expm1(np.asarray(method_selection.relative_margin(one.diagnostics)))
+    miss, half = off(one.stated, one.truth), np.expm1(np.asarray(method_selection.relative_margin(np, one.diagnostics)))
     row = [name, miss.size, percent(miss <= CLOSE), percent(miss <= RIGHT)]
     if not miss.size:
         return row + [None] * 4

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax.numpy as jnp
+import numpy as np
 
+from jaxgeo._checks import by_numpy_if_known
 from jaxgeo._compile import one_program
 from jaxgeo._elementary import sine_and_cosine
 from jaxgeo._numerics import cross, matmul3, matrix, safe_norm, safe_sqrt
@@ -59,19 +61,18 @@ def turned_z(s: Scalar, c: Scalar, v: Components) -> Components:
 
 def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
     """`Rz(heading) Ry(pitch) Rx(roll)`; for the angles of a body (forward, right, down) this is `R_ned_from_body`."""
-    return _product_of_turns(*(jnp.asarray(angle) for angle in (heading, pitch, roll)))
+    return by_numpy_if_known(_product_of_turns, heading, pitch, roll)
 
 
-@one_program
-def _product_of_turns(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
-    (sh, sp, sr), (ch, cp, cr) = sine_and_cosine(jnp.stack([heading, pitch, roll]))
+def _product_of_turns(xp: Any, heading: Any, pitch: Any, roll: Any) -> Any:
+    angles = xp.stack([heading, pitch, roll])
+    (sh, sp, sr), (ch, cp, cr) = (np.sin(angles), np.cos(angles)) if xp is np else sine_and_cosine(angles)
     forward, right, down = [ch, sh], [-sh, ch], [ch * sp, sh * sp]
-    return matrix(
-        [
-            *([cp * a, cr * b + sr * c, cr * c - sr * b] for a, b, c in zip(forward, right, down, strict=True)),
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    rows = [
+        *([cp * a, cr * b + sr * c, cr * c - sr * b] for a, b, c in zip(forward, right, down, strict=True)),
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.array(rows) if xp is np else matrix(rows)
 
 
 @one_program

@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64, check_finite, check_range
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._checks import as_array, as_float64, by_numpy_if_known, check_finite, check_range
 from jaxgeo._numerics import matmul3, safe_norm
 from jaxgeo._record import Record
-from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, ScalarLike, Vector3, Vector3Field
+from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, Rx, Ry, Rz, heading_pitch_roll_from_R
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
@@ -71,12 +70,8 @@ def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, 
     """
     for value, name in ((heading, "heading"), (pitch, "pitch"), (roll, "roll")):
         check_range(value, f"boresight {name}", "deg", -360.0, 360.0)
-    return _R_from_degrees(*as_float64((heading, pitch, roll), "boresight_from_degrees"))
-
-
-@quick_filter_jit
-def _R_from_degrees(heading: ScalarLike, pitch: ScalarLike, roll: ScalarLike) -> Matrix3:
-    return R_from_heading_pitch_roll(jnp.deg2rad(heading), jnp.deg2rad(pitch), jnp.deg2rad(roll))
+    given = as_float64((heading, pitch, roll), "boresight_from_degrees")
+    return R_from_heading_pitch_roll(*by_numpy_if_known(lambda xp, *angles: tuple(map(xp.deg2rad, angles)), *given))
 
 
 class Deflection(Record):

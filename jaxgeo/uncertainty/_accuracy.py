@@ -28,14 +28,13 @@ from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
 from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import FIGURES, draw_errors
 from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 
 SAMPLES = 20_000
 SAMPLING = Sampling()
 OF_PIXELS = (None, None, 0, None, None)
-_select_method = jax.jit(select_method)
 _method_of = quick_filter_jit(method_of)
 
 
@@ -121,9 +120,16 @@ def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: Abstr
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
     model.check_at(nominal)
+    return accuracy_about(inputs, nominal, model, level, search, sampling)
+
+
+def accuracy_about(
+    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, level: Scalar, search: AbstractSearch, sampling: Any
+) -> Accuracy:
+    """`accuracy` of checked inputs, model and options, about a nominal fix."""
     found = diagnose(inputs, nominal, model)
     diagnostics, facet, footprint, profile = found
-    code = _select_method(diagnostics) if model.is_normal else _method_of(found)
+    code = select_method(diagnostics) if model.is_normal else _method_of(found)
     method, probability = Method(int(code)), float(level)
     linear = facet if method is Method.facet else footprint
     cov, bias, failed, sampled = linear.cov_enu, linear.bias_enu, np.nan, None

@@ -178,9 +178,15 @@ class Linear(Record):
         return (self.swept(sigma) + self.rough_enu)[:2, :2]
 
 
-@quick_filter_jit
 def _of_roughness(surface: Surface, direction_enu: Vector3) -> Matrix3:
     """Contribution of the ground's roughness to the covariance of the fix, m2."""
+    if float(surface.roughness) == 0.0:  # of a facet
+        return jax.device_put(np.zeros((3, 3)))
+    return _of_rough_ground(surface, direction_enu)
+
+
+@quick_filter_jit
+def _of_rough_ground(surface: Surface, direction_enu: Vector3) -> Matrix3:
     along = direction_enu / along_plane(surface.normal, direction_enu)
     return jnp.outer(along, along) * surface.roughness**2
 

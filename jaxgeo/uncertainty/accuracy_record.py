@@ -11,7 +11,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._checks import by_numpy_if_known
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import IndexField, Matrix3Field, ScalarField, Vector3Field
@@ -121,7 +121,7 @@ class Accuracy(OldNames, Record):
         is their confidence interval, of one fix with its details; NaN of others.
         """
         if self.sampled is None:
-            return _linear_interval(self.circular, self.method, self.diagnostics)
+            return by_numpy_if_known(_linear_interval, self.circular, self.method, self.diagnostics)
         found = self.sampled.circular_error(self.level())
         return jnp.asarray(found.low), jnp.asarray(found.high)
 
@@ -154,12 +154,11 @@ class Accuracy(OldNames, Record):
         return self
 
 
-@quick_filter_jit
-def _linear_interval(circular: ScalarField, method: IndexField, diagnostics: Diagnostics) -> tuple[Any, Any]:
+def _linear_interval(xp: Any, circular: Any, method: Any, diagnostics: Any) -> tuple[Any, Any]:
     """Interval of circular errors by linear propagation, NaN of others."""
     is_linear = (method == Method.facet.value) | (method == Method.footprint.value)
-    factor = jnp.exp(relative_margin(diagnostics))
-    return jnp.where(is_linear, circular / factor, jnp.nan), jnp.where(is_linear, circular * factor, jnp.nan)
+    factor = xp.exp(relative_margin(xp, diagnostics))
+    return xp.where(is_linear, circular / factor, xp.nan), xp.where(is_linear, circular * factor, xp.nan)
 
 
 def summary(accuracy: Any, noun: str, meaning: Callable[[Status], str] = lambda status: status.message) -> str:

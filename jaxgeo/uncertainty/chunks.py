@@ -8,7 +8,6 @@ block.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
@@ -38,7 +37,7 @@ from jaxgeo.uncertainty.batched_rays import (
     places_of_ground,
     search_of_lines,
 )
-from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Sobol
+from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Sobol, first_key
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.rotation import Rotation, Trial, rotation_of
@@ -167,7 +166,7 @@ def make_plan(
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
-    trial = draw_lines(plan.lines._replace(key=_key_of_trial()), Part.of(0, TRIALS, size), size, TRIALS)
+    trial = draw_lines(plan.lines._replace(key=first_key()), Part.of(0, TRIALS, size), size, TRIALS)
     some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)  # before it goes to the host
     trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
     found = search_of_lines(search, plan.lines.inputs, nominal, trial)
@@ -176,11 +175,6 @@ def make_plan(
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
         plan = plan._replace(lines=plan.lines._replace(rotation=jax.device_put(rotation)))
     return plan, size
-
-
-@functools.cache
-def _key_of_trial() -> Any:
-    return jax.random.key(0)
 
 
 @quick_filter_jit

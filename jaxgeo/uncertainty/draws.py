@@ -25,12 +25,18 @@ Stage: TypeAlias = Callable[[Any], Any]
 Anywhere: TypeAlias = Array | np.ndarray
 
 
+KIND = "threefry2x32"  # of keys
 MORE = "Draw them in several parts."  # appended to messages about too large indices
 OWN = 0x6A617867  # folded into a key, so that other uses of the key draw different numbers
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 WEYL = 0x9E3779B9  # step of the seeds of the scrambles (Steele, Lea and Flood 2014, "Fast splittable generators")
 SEEDS = 2**31  # second counter word of the first seed; independent numbers are counted from 0
 LEADING = 4  # numbers of a sample from Sobol points, two at a time: a fix depends on three to first order
+
+
+def first_key() -> Any:
+    """`jax.random.key(0)` of the kind that `Random` and `Sobol` need, for which JAX would compile two programs."""
+    return jax.random.wrap_key_data(jax.device_put(np.zeros(2, np.uint32)), impl=KIND)
 
 
 class AbstractDraws(Record):
@@ -268,8 +274,8 @@ def _check(key: Any, index: Any, size: int, count: int) -> None:
     if not isinstance(size, int) or size < 0:
         raise ValueError(f"size must be a whole number of at least 0; got {size!r}.")
     kind = str(jax.random.key_impl(key))
-    if kind != "threefry2x32":
-        raise ValueError(f"key must be of the kind threefry2x32, as jax.random.key(0) is by default; got {kind}.")
+    if kind != KIND:
+        raise ValueError(f"key must be of the kind {KIND}, as jax.random.key(0) is by default; got {kind}.")
     if jnp.ndim(index) != 0 or not jnp.issubdtype(jnp.result_type(index), jnp.integer):
         raise ValueError(
             f"index must be one whole number; got shape {jnp.shape(index)} of {jnp.result_type(index)}. Draw several "

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._checks import by_numpy_if_known, is_known
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._record import portable
-from jaxgeo._typing import Flag, Scalar
+from jaxgeo._typing import Scalar
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.linear import (
@@ -165,16 +165,20 @@ class Method(enum.IntEnum):
 
 def select_method(diagnostics: Diagnostics) -> Int[Array, ""]:
     """The valid method according to the diagnostics, as a `Method` code; use `vmap` for many fixes."""
+    return by_numpy_if_known(_select_method, diagnostics)
+
+
+def _select_method(xp: Any, diagnostics: Any) -> Any:
     calm = (diagnostics.jumps + diagnostics.fails <= FEW) & (diagnostics.known == 1.0) & (diagnostics.grazing > GRAZING)
     calm &= diagnostics.off <= SAME_GROUND
     least = NOTHING * diagnostics.profile
-    facet = _agree(diagnostics.facet, diagnostics.profile, AGREEMENT)
-    facet &= _agree(diagnostics.facet, diagnostics.footprint, AGREEMENT)
-    facet &= _agree(diagnostics.facet_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
-    footprint = _agree(diagnostics.footprint, diagnostics.profile, AGREEMENT)
-    footprint &= _agree(diagnostics.footprint_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
-    code = jnp.where(calm & footprint, Method.footprint.value, Method.samples.value)
-    return jnp.where((calm & facet) | _is_exact(diagnostics), Method.facet.value, code)
+    facet = _agree(xp, diagnostics.facet, diagnostics.profile, AGREEMENT)
+    facet &= _agree(xp, diagnostics.facet, diagnostics.footprint, AGREEMENT)
+    facet &= _agree(xp, diagnostics.facet_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
+    footprint = _agree(xp, diagnostics.footprint, diagnostics.profile, AGREEMENT)
+    footprint &= _agree(xp, diagnostics.footprint_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
+    code = xp.where(calm & footprint, Method.footprint.value, Method.samples.value)
+    return xp.where((calm & facet) | _is_exact(diagnostics), Method.facet.value, code)
 
 
 def _is_exact(diagnostics: Any) -> Any:
@@ -182,24 +186,25 @@ def _is_exact(diagnostics: Any) -> Any:
     return (diagnostics.facet == 0.0) & (diagnostics.facet_up == 0.0)
 
 
-def relative_margin(diagnostics: Any) -> Any:
+def relative_margin(xp: Any, diagnostics: Any) -> Any:
     """Half the width of a 95 % interval of the circular error by linear propagation, as a difference of logarithms.
 
     What facet and footprint differ by from the terrain profile tells how far from planar the ground is, and the
-    probability of lines of sight that jump how far from one slope. For fixes that are not sent to samples.
+    probability of lines of sight that jump how far from one slope. For fixes that are not sent to samples. `xp` is
+    NumPy or jax.numpy.
     """
-    spread = jnp.maximum(
-        jnp.abs(jnp.log(diagnostics.facet / diagnostics.profile)),
-        jnp.abs(jnp.log(diagnostics.footprint / diagnostics.profile)),
+    spread = xp.maximum(
+        xp.abs(xp.log(diagnostics.facet / diagnostics.profile)),
+        xp.abs(xp.log(diagnostics.footprint / diagnostics.profile)),
     )
-    spread = jnp.where(jnp.isfinite(spread), jnp.minimum(spread, SPREAD), SPREAD)
+    spread = xp.where(xp.isfinite(spread), xp.minimum(spread, SPREAD), SPREAD)
     jumps = diagnostics.jumps + diagnostics.fails
-    return MARGIN + MARGIN_OF_SPREAD * spread + jnp.where(jumps > FEWEST_JUMPS, MARGIN_OF_JUMPS, 0.0)
+    return MARGIN + MARGIN_OF_SPREAD * spread + xp.where(jumps > FEWEST_JUMPS, MARGIN_OF_JUMPS, 0.0)
 
 
-def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
+def _agree(xp: Any, one: Any, other: Any, tolerance: float) -> Any:
     """Whether two figures differ by less than a log ratio; infinite, zero or NaN figures do not agree."""
-    return jnp.abs(jnp.log(one / other)) <= tolerance
+    return xp.abs(xp.log(one / other)) <= tolerance
 
 
 def explain_method(diagnostics: Diagnostics, method: Method) -> str:

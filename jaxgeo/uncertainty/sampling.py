@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxgeo._checks import check_countable, is_known
 from jaxgeo._record import portable
-from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol, first_key
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -59,7 +59,7 @@ class Sampling:
     @property
     def random_key(self) -> Any:
         """The key, or its default."""
-        return jax.random.key(0) if self.key is None else self.key
+        return first_key() if self.key is None else self.key
 
 
 def resolve_sampling(
