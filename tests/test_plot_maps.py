@@ -13,6 +13,7 @@ import pytest
 from jaxgeo import plot
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.plot.legends import COLOURED
+from jaxgeo.plot.maps import normals_at, places_of, radii_of_curvature
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem, GeographicGrid
 from jaxgeo.uncertainty import Method
@@ -55,6 +56,25 @@ def test_no_jump_at_the_date_line() -> None:
     dem = Dem.from_array(hill(), GeographicGrid.from_affine((0.001, 0.0, 179.97, 0.0, -0.001, 10.0), SHAPE))
     lon, _ = plot.lonlat_deg(plot.post_positions(dem))
     np.testing.assert_allclose(np.diff(lon, axis=1), 0.001, rtol=0, atol=1e-9)
+
+
+ACROSS_DATE_LINE = GeographicGrid.from_affine((0.001, 0.0002, 179.97, 0.0001, -0.001, 10.0), SHAPE)
+
+
+@pytest.mark.parametrize("grid", [ACROSS_DATE_LINE, turned().grid], ids=["geographic", "tangent"])
+def test_places_and_normals_are_those_of_the_grid(grid: Any) -> None:
+    dem = Dem.from_array(hill(), grid)
+    rowcol = np.random.default_rng(1).uniform(0.0, SHAPE, (50, 2))
+    normals = normals_at(dem, rowcol)
+    np.testing.assert_allclose(normals, jax.vmap(grid.normal)(rowcol), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(places_of(dem, normals), rowcol, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("latitude", [0.0, 0.6, -1.2, math.pi / 2])
+def test_radii_of_curvature_are_those_of_the_ellipsoid(latitude: float) -> None:
+    lat = jnp.asarray(latitude)
+    expected = WGS84.meridian_radius(lat), WGS84.prime_vertical_radius(lat)
+    np.testing.assert_allclose(radii_of_curvature(latitude), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("make", [north_up, turned])

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy import ndimage
 
 FEW_POSTS = 100  # along a side of the visible part; fewer are interpolated
 FINE_POINTS = 320  # along its longer side
@@ -26,6 +25,8 @@ def interpolated(posts: Posts, ax: Axes) -> Posts:
 
     By cubic splines: smoother than the terrain that rays meet, for display only.
     """
+    from scipy import ndimage  # takes as long to import as all else here
+
     (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
     seen = (posts.lon >= west) & (posts.lon <= east) & (posts.lat >= south) & (posts.lat <= north)
     if ax.get_autoscalex_on() or ax.get_autoscaley_on() or not seen.any():

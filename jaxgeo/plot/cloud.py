@@ -6,23 +6,18 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
 
 from jaxgeo._checks import check_is
-from jaxgeo._compile import quick_filter_jit
-from jaxgeo._typing import Vector3
-from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.earth import WGS84
 from jaxgeo.fix import Fix
 from jaxgeo.plot.legends import keyed, legend_of
-from jaxgeo.plot.maps import slopes
+from jaxgeo.plot.maps import normals_at, places_of, slopes
 from jaxgeo.plot.regions import draw_region
 from jaxgeo.plot.style import INK, JUMPED, LINEAR, SAMPLE, SAMPLED, grid_behind, halo, house_axes, metres, percent
 from jaxgeo.terrain import Dem
-from jaxgeo.terrain.grid import surface_point
 from jaxgeo.uncertainty import AccuracyCheck, Comparison, Propagation, Region, Sampled
 from jaxgeo.uncertainty._region_words import area_words
 
@@ -246,7 +241,8 @@ def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarr
 
     Voids are NaN. Raises `ValueError` where no post is within reach.
     """
-    rowcol = np.asarray(_rowcol_below(dem.grid, jnp.asarray(fix.ecef)))
+    below = _normal_at(float(fix.position.lat), float(fix.position.lon))
+    rowcol = places_of(dem, below[None, :])[0]
     cells = np.ceil(1.5 * reach / np.asarray(dem.grid.cell_size())).astype(int) + 1
     extent = np.asarray(dem.extent)
     first = np.maximum(np.floor(rowcol).astype(int) - cells, 0)
@@ -264,26 +260,19 @@ def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarr
     return np.stack([east, north]), height
 
 
-@quick_filter_jit
-def _rowcol_below(grid: Any, p_ecef: Vector3) -> jax.Array:
-    return grid.rowcol(WGS84.normal_and_height(p_ecef)[0])
-
-
 def _offsets(dem: Dem, fix: Fix, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """East, north, up of posts from a fix, m; voids are placed at the fix's height."""
-    rowcol = np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1).astype(float)
-    return np.asarray(_offsets_at(dem.grid, fix, rowcol))
+    normals = normals_at(dem, np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1).reshape(-1, 2).astype(float))
+    lat, lon, height = (float(x) for x in (fix.position.lat, fix.position.lon, fix.position.height))
+    east = np.array([-np.sin(lon), np.cos(lon), 0.0])
+    up = _normal_at(lat, lon)
+    on_ellipsoid = WGS84.a / np.sqrt(1.0 - WGS84.e2 * normals[:, 2:] ** 2) * normals * [1.0, 1.0, 1.0 - WGS84.e2]
+    offsets = on_ellipsoid + height * normals - np.asarray(fix.ecef)
+    return (offsets @ np.stack([east, np.cross(up, east), up], axis=1)).reshape(len(row), len(col), 3)
 
 
-@quick_filter_jit
-def _offsets_at(grid: Any, fix: Fix, rowcol: Any) -> jax.Array:
-    R, height = R_ecef_from_enu(fix.position), jnp.asarray(fix.position.height)
-
-    def one(rowcol: jax.Array) -> Vector3:
-        normal = grid.normal(rowcol)
-        return R.T @ (surface_point(normal) + height * normal - jnp.asarray(fix.ecef))
-
-    return jax.vmap(jax.vmap(one))(rowcol)
+def _normal_at(lat: float, lon: float) -> np.ndarray:
+    return np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 def _between(posts: np.ndarray, finer: int) -> np.ndarray:

@@ -182,7 +182,7 @@ def _times(ax: Axes, position: Geodetic, across: np.ndarray, times: float | None
         return times
     lat = float(np.nanmean(np.asarray(position.lat)))
     west, east = ax.get_xlim()
-    width = math.radians(east - west) * float(radii_of_curvature(np.array([lat]))[1][0]) * math.cos(lat)
+    width = math.radians(east - west) * float(radii_of_curvature(lat)[1]) * math.cos(lat)
     middle = float(np.median(across))
     return 1.0 if middle >= ENOUGH * width or middle <= 0.0 else max(round_length(SEEN * width / middle), 1.0)
 
@@ -190,7 +190,7 @@ def _times(ax: Axes, position: Geodetic, across: np.ndarray, times: float | None
 def _places(position: Geodetic, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Longitude and latitude in deg, (n, m), of offsets (n, m, 2) in m east and north of positions (n,)."""
     lat = np.asarray(position.lat)
-    M, N = (np.asarray(radius) for radius in radii_of_curvature(lat))
+    M, N = radii_of_curvature(lat)
     height = np.asarray(position.height)
     lon0, lat0 = lonlat_deg(position)
     east, north = offsets[..., 0], offsets[..., 1]

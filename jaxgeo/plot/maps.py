@@ -23,9 +23,10 @@ from jaxgeo.plot.close_up import Posts, interpolated
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.style import CAMERA, FIX, HIDDEN, INK, SIGHT, halo, house_axes, round_length
 from jaxgeo.status import Status
-from jaxgeo.terrain import Dem
+from jaxgeo.terrain import Dem, GeographicGrid
 
 MOST_POSTS = 1200  # per side of a figure; larger terrain is subsampled
+BLOCK = 16_384  # places of a grid that are computed together
 ALONE = 0.02  # deg: margin about an isolated point
 STEPS = [1, 2, 5, 10]  # of ticks, times a power of ten
 ARROWHEAD = Path([(0.0, 1.0), (-0.62, -0.8), (0.0, -0.45), (0.62, -0.8), (0.0, 1.0)], closed=True)  # to the north
@@ -45,7 +46,7 @@ def post_positions(dem: Dem, step: int = 1) -> Geodetic:
     """Every `step`-th post of a terrain as positions (rows, cols), with their ellipsoidal heights."""
     rows, cols = (int(n) for n in np.asarray(dem.extent))
     row, col = np.meshgrid(np.arange(0, rows, step), np.arange(0, cols, step), indexing="ij")
-    normal = _normals(dem, np.stack([row, col], axis=-1).reshape(-1, 2).astype(float)).reshape(*row.shape, 3)
+    normal = normals_at(dem, np.stack([row, col], axis=-1).reshape(-1, 2).astype(float)).reshape(*row.shape, 3)
     lat, lon = (
         np.arctan2(normal[..., 2], np.hypot(normal[..., 0], normal[..., 1])),
         np.arctan2(normal[..., 1], normal[..., 0]),
@@ -55,11 +56,27 @@ def post_positions(dem: Dem, step: int = 1) -> Geodetic:
     return Geodetic(lat=lat, lon=lon, height=np.asarray(dem.posts, np.float64)[row, col])
 
 
-def _normals(dem: Dem, rowcol: np.ndarray) -> np.ndarray:
-    """Ellipsoid normals (n, 3) at places (n, 2) on the grid; one program for up to four times as many places."""
-    count = len(rowcol)
-    room = 4 ** math.ceil(math.log(max(count, 4096), 4)) - count
-    return np.asarray(_normals_of(dem.grid, np.pad(rowcol, ((0, room), (0, 0)), "edge")))[:count]
+def normals_at(dem: Dem, rowcol: np.ndarray) -> np.ndarray:
+    """Ellipsoid normals (n, 3) at places (n, 2) on the grid of a terrain."""
+    if isinstance(dem.grid, GeographicGrid):  # compiles nothing
+        lon, lat = dem.grid.lonlat_at(rowcol).T
+        return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+    return _in_blocks(_normals_of, dem.grid, rowcol)
+
+
+def places_of(dem: Dem, normals: np.ndarray) -> np.ndarray:
+    """Places (n, 2) on the grid of a terrain with ellipsoid normals (n, 3)."""
+    if isinstance(dem.grid, GeographicGrid):
+        x, y, z = normals.T
+        return dem.grid.places_of(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1))
+    return _in_blocks(_places_of, dem.grid, normals)
+
+
+def _in_blocks(program: Any, grid: Any, rows: np.ndarray) -> np.ndarray:
+    """`program` of rows, in blocks of one size, so that it is compiled once for any number of them."""
+    padded = np.pad(rows, ((0, -len(rows) % BLOCK), (0, 0)), "edge")
+    blocks = [np.asarray(program(grid, padded[start : start + BLOCK])) for start in range(0, len(rows), BLOCK)]
+    return np.concatenate(blocks)[: len(rows)]
 
 
 @quick_filter_jit
@@ -68,9 +85,14 @@ def _normals_of(grid: Any, rowcol: Any) -> Any:
 
 
 @quick_filter_jit
-def radii_of_curvature(lat: Any) -> tuple[Any, Any]:
-    """Radii of curvature (n,) of the ellipsoid in the meridian and the prime vertical, m, at latitudes in rad."""
-    return jax.vmap(WGS84.meridian_radius)(lat), jax.vmap(WGS84.prime_vertical_radius)(lat)
+def _places_of(grid: Any, normals: Any) -> Any:
+    return jax.vmap(grid.rowcol)(normals)
+
+
+def radii_of_curvature(lat: np.ndarray | float) -> tuple[Any, Any]:
+    """Radii of curvature of the ellipsoid in the meridian and the prime vertical, m, at latitudes in rad."""
+    flattened = 1.0 - WGS84.e2 * np.sin(lat) ** 2
+    return WGS84.a * (1.0 - WGS84.e2) / flattened**1.5, WGS84.a / np.sqrt(flattened)
 
 
 def map_axes(dem: Dem, ax: Axes | None = None) -> Axes:
@@ -277,7 +299,7 @@ def scale_bar(ax: Axes, length_m: float | None = None, *, anchor: tuple[float, f
     """A scale bar of a round length, about a fifth of the map, at `anchor` in fractions of the axes."""
     (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
     lat = math.radians(south + anchor[1] * (north - south))
-    metres_per_degree = math.radians(1.0) * float(radii_of_curvature(np.array([lat]))[1][0]) * math.cos(lat)
+    metres_per_degree = math.radians(1.0) * float(radii_of_curvature(lat)[1]) * math.cos(lat)
     length = length_m or round_length(0.2 * (east - west) * metres_per_degree)
     x0, y0 = west + anchor[0] * (east - west), south + anchor[1] * (north - south)
     x1 = x0 + length / metres_per_degree
@@ -302,7 +324,7 @@ def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> Axes:
 def plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     """(east, north) in m about the centre, accurate enough for slopes."""
     lat, lon = np.asarray(position.lat), np.asarray(position.lon)
-    M, N = (float(np.asarray(radius)[0]) for radius in radii_of_curvature(lat.mean(keepdims=True).ravel()))
+    M, N = radii_of_curvature(lat.mean())
     return N * np.cos(lat) * (lon - lon.mean()), M * (lat - lat.mean())
 
 

@@ -119,6 +119,16 @@ class GeographicGrid(AbstractGrid):
         cos_lat = jnp.cos(lat)
         return jnp.stack([cos_lat * jnp.cos(lon), cos_lat * jnp.sin(lon), jnp.sin(lat)])
 
+    def lonlat_at(self, rowcol: np.ndarray) -> np.ndarray:
+        """Longitudes and latitudes (n, 2) in rad at places (n, 2), on the host."""
+        return np.asarray(self.lonlat0) + (rowcol - np.asarray(self.rowcol0)) @ np.asarray(self.step).T
+
+    def places_of(self, lonlat: np.ndarray) -> np.ndarray:
+        """Places (n, 2) of longitudes and latitudes (n, 2) in rad, on the host."""
+        offset = lonlat - np.asarray(self.lonlat0)
+        offset[:, 0] = np.remainder(offset[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+        return np.asarray(self.rowcol0) + offset @ np.linalg.inv(np.asarray(self.step)).T
+
 
 class TransverseMercatorGrid(AbstractGrid):
     """Rows and columns affine in a transverse Mercator map (UTM, Gauss-Krueger, Lo, custom), by Krueger's series.
