@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -229,7 +230,7 @@ def test_a_wrong_place_is_told_before_the_work(tmp_path, monkeypatch, command: s
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxgeo.cli.locate.read_inputs", work)
-    monkeypatch.setattr("jaxgeo.demo.make_demo", work)
+    monkeypatch.setattr("jaxgeo.demo.Making", work)
     (tmp_path / "folder").mkdir()
     arguments = ["--scene", scene_file(), "--dem", DEM, "--pixel", "1,2"] if command == "locate" else []
     assert_refused(run(command, *arguments, "--output", output), "--output", output, words)
@@ -340,7 +341,8 @@ def made() -> Demo:
 
 def test_demo_without_matplotlib_shows_the_table_and_a_hint(tmp_path: pathlib.Path, monkeypatch, made: Demo) -> None:
     without_matplotlib(monkeypatch)
-    monkeypatch.setattr("jaxgeo.demo.make_demo", lambda show: [show(made), made][-1])
+    making = SimpleNamespace(seen=lambda: made, whole=lambda _: made)
+    monkeypatch.setattr("jaxgeo.demo.Making", lambda: contextlib.nullcontext(making))
     result = run("demo", "--output", tmp_path / "demo.png")
     assert_table_and_hint(result, tmp_path)
     for words in ("Somewhere", "fix 7", "circles", "shares"):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import pathlib
-from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
 
 import typer
@@ -87,28 +85,36 @@ def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any, Any]:
     from jaxgeo._checks import enable_x64
 
     enable_x64()
-    console, rows, pictures, waiting = Console(), [], [], contextlib.ExitStack()
-
-    def show(seen: Any) -> None:
-        waiting.close()  # a spinner would take what is printed for its own
-        rows.extend(_rows(seen))
+    console = Console()
+    with demo.Making() as making:
+        with working("compiling, and locating"):
+            can_draw = _can_draw()  # takes Python's time while the first programs are compiled
+            seen = making.seen()
+        rows = _rows(seen)
         if shows:
             console.print(fix_table(rows, title=seen.title))
         print_counts(
             {name: sum(row["status"] == name for row in rows) for name in {row["status"] for row in rows}}, len(rows)
         )
-        waiting.enter_context(working("drawing, and compiling for the accuracy of one fix"))
-        pictures.append(_begun(seen))
-
-    with waiting, ThreadPoolExecutor() as pool:
-        waiting.enter_context(working("compiling, and locating"))
-        pool.submit(importlib.import_module, "jaxgeo.plot")  # if it is missing, `_begun` says so
-        made = demo.make_demo(show)
+        with working("compiling for the accuracy of one fix, and drawing"):
+            picture = demo.Picture(seen) if can_draw else None
+            made = making.whole(seen)
     if shows:
         console.print(f"\nAccuracy of fix {made.errors.number}:", highlight=False)
         for part in (made.errors.checked, made.errors.budget):
             console.print(str(part), highlight=False, soft_wrap=True)
-    return rows, made, pictures[0]
+    return rows, made, picture
+
+
+def _can_draw() -> bool:
+    """Whether matplotlib can be imported, with a message if not."""
+    try:
+        for name in ("matplotlib", "jaxgeo.plot"):
+            importlib.import_module(name)
+    except ImportError as error:
+        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        return False
+    return True
 
 
 def _rows(seen: Any) -> list[dict[str, Any]]:
@@ -117,17 +123,6 @@ def _rows(seen: Any) -> list[dict[str, Any]]:
 
     of_fixes = fix_rows(seen.fix, height_msl(seen.fix))
     return [{"u": u, "v": v, **row} for (u, v), row in zip(seen.uv, of_fixes, strict=True)]
-
-
-def _begun(seen: Any) -> Any:
-    """A picture of what the camera sees; None, with a message, without matplotlib."""
-    from jaxgeo import demo
-
-    try:
-        return demo.Picture(seen)
-    except ImportError as error:
-        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
-        return None
 
 
 def _content(made: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -5,6 +5,6 @@ The demo has fixes, hidden ground and accuracy. The true sensor and pose of the 
 
 from jaxgeo.demo.drone import DroneImage, drone_image
 from jaxgeo.demo.picture import Picture
-from jaxgeo.demo.scene import Demo, Seen, make_demo, scene_file
+from jaxgeo.demo.scene import Demo, Making, Seen, make_demo, scene_file
 
-__all__ = ["Demo", "DroneImage", "Picture", "Seen", "drone_image", "make_demo", "scene_file"]
+__all__ = ["Demo", "DroneImage", "Making", "Picture", "Seen", "drone_image", "make_demo", "scene_file"]

@@ -5,14 +5,10 @@ from __future__ import annotations
 import pathlib
 from typing import Any, BinaryIO
 
-import jax
 import numpy as np
 
-from jaxgeo._compile import quick_filter_jit
 from jaxgeo.demo.scene import VIEW, Demo, Seen, sampled
-from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import FrameCamera
-from jaxgeo.terrain import Dem
 
 TYPE: dict[Any, Any] = {
     "font.size": 11,
@@ -75,12 +71,15 @@ def _draw_map(demo: Seen, ax: Any) -> None:
 def _draw_view(demo: Seen, ax: Any) -> None:
     """Draw the ground as seen by the camera: far at the top, flight direction to the left."""
     from jaxgeo import plot
+    from jaxgeo.plot.maps import places_of
 
     camera = demo.sensor.camera
     assert isinstance(camera, FrameCamera)
     relief = plot.shaded_relief(demo.dem)[..., :3]
-    rowcol = np.asarray(_rowcol(demo.dem, jax.tree.map(np.ravel, demo.view.position))).reshape(*VIEW, 2)
-    found = np.asarray(np.all(np.isfinite(rowcol), axis=-1))
+    lat, lon = np.ravel(demo.view.position.lat), np.ravel(demo.view.position.lon)
+    normals = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+    rowcol = places_of(demo.dem, normals).reshape(*VIEW, 2)
+    found = np.all(np.isfinite(rowcol), axis=-1)
     image = np.where(found[..., None], sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
     distance = np.asarray(demo.view.slant_range)
     haze = np.clip((distance - np.nanmin(distance)) / (np.nanmax(distance) - np.nanmin(distance)), 0.0, 1.0)
@@ -115,11 +114,6 @@ def _draw_section(demo: Seen, ax: Any) -> None:
     ax.grid(alpha=0.3)
     ax.legend(loc="upper right", framealpha=0.92, fontsize=10.5)
     ax.set_title(f"Section under the optical axis: slant range {reach / 1000.0:.2f} km")
-
-
-@quick_filter_jit
-def _rowcol(dem: Dem, positions: Geodetic) -> jax.Array:
-    return jax.vmap(dem.rowcol_at)(positions)
 
 
 def _draw_errors(demo: Demo, part: Any) -> None:

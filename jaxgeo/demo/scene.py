@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import importlib.resources
 import pathlib
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import batch_filter_jit, quick_filter_jit
-from jaxgeo._locate import locate, project
-from jaxgeo._numerics import safe_angle, safe_norm
+from jaxgeo._compile import quick_filter_jit
+from jaxgeo._locate import FIRST_HIT, locate
 from jaxgeo._record import Record
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Sensor, Shot
-from jaxgeo.terrain import Dem
-from jaxgeo.uncertainty import Accuracy, AccuracyCheck, Budget, Sampling, accuracy, budget, sample
+from jaxgeo.sensor.sensor import Sight
+from jaxgeo.terrain import Dem, GeographicGrid
+from jaxgeo.uncertainty import Accuracy, AccuracyCheck, Budget, Sampling, budget
+from jaxgeo.uncertainty._accuracy import accuracy_about
+from jaxgeo.uncertainty.map_cells import check_level
+from jaxgeo.uncertainty.model import checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.sampled import draw_errors
+from jaxgeo.uncertainty.sampling import resolve_sampling
 
 GRID = (4, 5)  # fixes across the image, along columns and rows
 VIEW = (100, 200)  # pixels of the rendered view, along columns and rows
@@ -76,49 +80,95 @@ def scene_file() -> pathlib.Path:
     return pathlib.Path(str(importlib.resources.files("jaxgeo") / "data" / "demo_scene.toml"))
 
 
-def make_demo(meanwhile: Callable[[Seen], None] | None = None) -> Demo:
-    """Locate a grid of pixels, the outline and the view of the demo shot, and find the hidden ground.
+class Making:
+    """The demo in the making, part by part; use it in a `with` statement.
 
-    `meanwhile` is called with these while programs for the accuracy of one fix are compiled.
+    XLA compiles the parts of the accuracy in other threads, about a fix that is found with all others.
     """
-    scene = read_scene(scene_file())
-    sensor, shot = scene.sensor, scene.shot
-    assert shot is not None
-    assert scene.errors is not None
-    dem = example_dem()
-    camera = sensor.camera
-    assert isinstance(camera, FrameCamera)
-    grid = np.round(_mesh(camera, GRID, 0.06)).reshape(-1, 2)
-    edges, view = _edges(camera), _mesh(camera, VIEW, 0.5 / VIEW[0]).reshape(-1, 2)
-    uv = np.concatenate([grid, edges, _middle(camera)[None], view])
-    n, m = len(grid), len(grid) + len(edges)
-    with ThreadPoolExecutor() as pool:  # XLA compiles the parts in parallel
-        doubted = (sensor, shot, grid[DOUBTED], dem, scene.errors)
-        drawn = pool.submit(sample, *doubted, sampling=Sampling(count=SAMPLES, chunk=SAMPLES), keep=True)
-        answered = pool.submit(_answered, *doubted)
-        posts = pool.submit(_posts_in_image, sensor, shot, dem)
-        section = pool.submit(_section_under_axis, sensor, shot, dem)
-        fix = located(sensor, shot, uv, dem)
-        hidden = _hidden(sensor, shot, dem, *posts.result())
-        centre, along = section.result()
-        seen = Seen(
-            title=scene.title,
-            dem=dem,
-            sensor=sensor,
-            shot=shot,
-            centre=centre,
-            uv=grid,
+
+    def __init__(self) -> None:
+        scene = read_scene(scene_file())
+        assert scene.shot is not None
+        camera = scene.sensor.camera
+        assert isinstance(camera, FrameCamera)
+        self._title, self._look, self._errors = scene.title, (scene.sensor, scene.shot), scene.errors
+        self._camera, self._dem = camera, example_dem()
+        self._grid = np.round(_mesh(camera, GRID, 0.06)).reshape(-1, 2)
+        self._pool = ThreadPoolExecutor()
+        self._located = self._pool.submit(self._locate)
+        self._axis = self._pool.submit(_axis, *self._look, np.linspace(0.0, REACH, PROFILE))
+
+    def __enter__(self) -> Making:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown()
+
+    def seen(self) -> Seen:
+        """Locate a grid of pixels, the outline and the view of the demo shot, and find the hidden ground.
+
+        The accuracy of one fix is computed from then on.
+        """
+        fix, axis = self._located.result(), jax.device_get(self._axis.result())
+        self._begin_accuracy(jax.tree.map(lambda leaf: leaf[DOUBTED], fix), axis.sight)
+        hidden = _hidden(*self._look, self._dem, *_posts_in_image(self._camera, axis.sight, self._dem))
+        n, m = len(self._grid), len(self._grid) + len(_edges(self._camera))
+        return Seen(
+            title=self._title,
+            dem=self._dem,
+            sensor=self._look[0],
+            shot=self._look[1],
+            centre=jax.tree.map(lambda x: x[0], axis.points),
+            uv=self._grid,
             fix=_part(fix, 0, n),
             outline=_part(fix, n, m).position,
             axis=_part(fix, m, m + 1),
-            view=_part(fix, m + 1, len(uv), VIEW),
+            view=_part(fix, m + 1, m + 1 + VIEW[0] * VIEW[1], VIEW),
             hidden=hidden,
-            section=along,
+            section=_section(axis, self._dem),
         )
-        if meanwhile is not None:
-            meanwhile(seen)
-        found, shares = answered.result()
-        return Demo(**vars(seen), errors=Errors(DOUBTED, AccuracyCheck(found, drawn.result()), shares))
+
+    def whole(self, seen: Seen) -> Demo:
+        """All of the demo."""
+        found, shares = self._answered.result()
+        return Demo(**vars(seen), errors=Errors(DOUBTED, AccuracyCheck(found, self._drawn.result()), shares))
+
+    def _locate(self) -> Fix:
+        view = _mesh(self._camera, VIEW, 0.5 / VIEW[0]).reshape(-1, 2)
+        uv = np.concatenate([self._grid, _edges(self._camera), _middle(self._camera)[None], view])
+        return located(*self._look, uv, self._dem)
+
+    def _begin_accuracy(self, fix: Fix, sight: Sight) -> None:
+        """Accuracy and samples of a fix in other threads, without searching for it in a program of its own."""
+        inputs = ModelInputs.of(*self._look, self._grid[DOUBTED], self._dem)
+        nominal, model = _nominal(fix, sight, self._dem), checked_model(self._errors, inputs)
+        sampling = resolve_sampling(Sampling(chunk=SAMPLES), SAMPLES)
+        about = inputs, nominal, model
+        self._drawn = self._pool.submit(draw_errors, *about, FIRST_HIT, sampling, keep=True)
+        self._answered = self._pool.submit(_answered, *about, check_level(0.9), FIRST_HIT, sampling)
+
+
+def _answered(*asked: Any) -> tuple[Accuracy, Budget]:
+    found = accuracy_about(*asked)
+    return found, budget(found)
+
+
+def _nominal(fix: Fix, sight: Sight, dem: Dem) -> NominalFix:
+    """What the accuracy of a fix starts from."""
+    assert isinstance(dem.grid, GeographicGrid)
+    lat, lon = float(fix.position.lat), float(fix.position.lon)
+    up, east = _normal(lat, lon), np.array([-np.sin(lon), np.cos(lon), 0.0])
+    R_ecef_from_enu = np.stack([east, np.cross(up, east), up], axis=1)
+    cell = np.floor(dem.grid.places_of(np.array([[lon, lat]]))[0]).astype(np.int32)
+    direction = (np.asarray(fix.ecef) - sight.centre) / np.asarray(fix.slant_range)
+    found = (fix, fix.ecef, fix.slant_range, cell, R_ecef_from_enu.T @ direction, R_ecef_from_enu)
+    return NominalFix(*jax.device_put(found))
+
+
+def make_demo() -> Demo:
+    """Locate pixels of the demo shot, find the hidden ground, and compute the accuracy of one fix."""
+    with Making() as making:
+        return making.whole(making.seen())
 
 
 def located(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Fix:
@@ -138,52 +188,57 @@ def _hidden(
     return hidden
 
 
-def _posts_in_image(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(row and col, pixel, distance in m) of the posts that project into the image, visible or hidden."""
-    posts = np.indices(np.shape(dem.posts)).reshape(2, -1).T
-    uv, distance, ok = (np.asarray(x) for x in _projected(sensor, shot, dem, posts))
-    return posts[ok], uv[ok], distance[ok]
+class Axis(NamedTuple):
+    """The camera's position and orientation, and points (n) along its optical axis."""
 
-
-@batch_filter_jit
-def _projected(sensor: Sensor, shot: Shot, dem: Dem, posts: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-    def project_one(rowcol: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        post = _post(dem, *rowcol)
-        image = project(sensor, shot, post)
-        return image.uv, safe_norm(sensor.to_camera(shot, WGS84.to_ecef(post))), image.ok
-
-    return jax.vmap(project_one)(posts)
-
-
-def _post(dem: Dem, row: jax.Array, col: jax.Array) -> Geodetic:
-    x, y, z = dem.grid.normal(jnp.stack([row, col]).astype(jnp.float64))
-    height = jnp.asarray(dem.posts)[row, col].astype(jnp.float64)
-    return Geodetic(lat=jnp.arcsin(z), lon=jnp.arctan2(y, x), height=height)
-
-
-def _section_under_axis(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[Geodetic, tuple[np.ndarray, ...]]:
-    """Perspective centre; (distance, height of the optical axis, height of the ground, hidden) under the axis."""
-    centre, *along = _section(sensor, shot, dem, np.linspace(0.0, REACH, PROFILE))
-    distance, sight, ground, off_nadir = (np.asarray(x) for x in along)
-    highest = np.fmax.accumulate(off_nadir)
-    return centre, (distance, sight, ground, off_nadir < highest - 1e-6)
+    sight: Sight
+    points: Geodetic
 
 
 @quick_filter_jit
-def _section(sensor: Sensor, shot: Shot, dem: Dem, ranges: Any) -> tuple[Any, ...]:
+def _axis(sensor: Sensor, shot: Shot, ranges: Any) -> Axis:
     origin, direction, _ = sensor.ray_ecef(shot, _middle(sensor.camera))
-    up, height = WGS84.normal_and_height(origin)
-    foot = origin - up * height
+    return Axis(sensor.sight(shot), jax.vmap(lambda s: WGS84.to_geodetic(origin + s * direction))(ranges))
 
-    def sample(s: jax.Array) -> tuple[jax.Array, ...]:
-        normal, height = WGS84.normal_and_height(origin + s * direction)
-        on_ellipsoid = origin + s * direction - height * normal
-        rowcol = dem.grid.rowcol(normal)
-        ground = jnp.where(dem.contains(rowcol), dem.surface(rowcol, dem.cell_of(rowcol)), jnp.nan)
-        off_nadir = safe_angle(on_ellipsoid + ground * normal - origin, -up)
-        return safe_norm(on_ellipsoid - foot), height, ground, off_nadir
 
-    return WGS84.to_geodetic(origin), *jax.vmap(sample)(ranges)
+def _posts_in_image(camera: FrameCamera, sight: Sight, dem: Dem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(row and col, pixel, distance in m) of the posts that project into the image, visible or hidden."""
+    assert isinstance(dem.grid, GeographicGrid)
+    posts = np.indices(np.shape(dem.posts)).reshape(2, -1).T
+    lon, lat = dem.grid.lonlat_at(posts).T
+    p_ecef = _ecef(lat, lon, np.asarray(dem.posts, np.float64).ravel())
+    x, y, z = ((p_ecef - sight.centre) @ sight.R_ecef_from_camera).T
+    uv = np.asarray(camera.principal_px) + np.asarray(camera.focal_px) * np.stack([x / z, y / z], axis=1)
+    inside = (z > 0.0) & np.all((uv >= -0.5) & (uv <= np.array([camera.width, camera.height]) - 0.5), axis=1)
+    return posts[inside], uv[inside], np.linalg.norm(p_ecef[inside] - sight.centre, axis=1)
+
+
+def _section(axis: Axis, dem: Dem) -> tuple[np.ndarray, ...]:
+    """(distance, height of the optical axis, height of the ground, hidden) under the optical axis."""
+    assert isinstance(dem.grid, GeographicGrid)
+    lat, lon, height = axis.points.lat, axis.points.lon, np.asarray(axis.points.height)
+    rowcol = dem.grid.places_of(np.stack([lon, lat], axis=1))
+    known = np.all((rowcol >= 0.0) & (rowcol <= np.array(np.shape(dem.posts)) - 1.0), axis=1)
+    ground = sampled(np.asarray(dem.posts, np.float64)[..., None], np.where(known[:, None], rowcol, 0.0))[:, 0]
+    on_ellipsoid = _ecef(lat, lon, np.zeros(len(height)))
+    down = (on_ellipsoid[0] - axis.sight.centre) / height[0]
+    to_ground = _ecef(lat, lon, ground) - axis.sight.centre
+    off_nadir = np.arccos(np.clip(to_ground @ down / np.linalg.norm(to_ground, axis=1), -1.0, 1.0))
+    off_nadir, ground = np.where(known, off_nadir, np.nan), np.where(known, ground, np.nan)
+    distance = np.linalg.norm(on_ellipsoid - on_ellipsoid[0], axis=1)
+    return distance, height, ground, off_nadir < np.fmax.accumulate(off_nadir) - 1e-6
+
+
+def _ecef(lat: np.ndarray, lon: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """ECEF coordinates (n, 3) in m."""
+    normal = _normal(lat, lon)
+    N = WGS84.a / np.sqrt(1.0 - WGS84.e2 * normal[:, 2:] ** 2)
+    return (N * [1.0, 1.0, 1.0 - WGS84.e2] + height[:, None]) * normal
+
+
+def _normal(lat: Any, lon: Any) -> np.ndarray:
+    """Normal of the ellipsoid (..., 3) at latitudes and longitudes in rad."""
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def _middle(camera: AbstractCamera) -> np.ndarray:
@@ -208,11 +263,6 @@ def _edges(camera: FrameCamera) -> np.ndarray:
 
 def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fix:
     return jax.tree.map(lambda leaf: leaf[start:stop].reshape(*shape, *leaf.shape[1:]), fix)
-
-
-def _answered(*look: Any) -> tuple[Accuracy, Budget]:
-    found = accuracy(*look, sampling=Sampling(count=SAMPLES))
-    return found, budget(found)
 
 
 def sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:
