@@ -7,7 +7,6 @@ import functools
 import gc
 import os
 import pathlib
-import platform
 import re
 import subprocess
 import sys
@@ -21,6 +20,7 @@ import support.checked_types  # noqa: F401  # named in pyproject.toml, loaded he
 from jax._src import compilation_cache
 from jax._src.interpreters import mlir
 from support.fuzz_seed import VARIABLE, fuzz_seed
+from support.quick_to_compile import QUICK_TO_COMPILE
 
 PROJECT = pathlib.Path(__file__).resolve().parents[1]
 gc.set_threshold(100_000, 20, 20)  # tracing makes and keeps so many small things that looking for cycles takes its time
@@ -40,16 +40,6 @@ compilation_cache.decompress_executable = zlib.decompress
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.setdefault("JAXGEO_CACHE_DIR", str(PROJECT / ".cache" / "jaxgeo"))  # of commands in processes of their own
-# What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
-# comes to hang on how one compiler does. With XLA_FLAGS in the environment, be it empty, tests run what users run.
-QUICK_TO_COMPILE = (
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-    # Passes that are slow, as in `jaxgeo._compile`.
-    " --xla_disable_hlo_passes=while-loop-invariant-code-motion,simplify-while-loops,tree_reduction_rewriter"
-)
-# Without optimisation, XLA of jaxlib 0.10 gives wrong numbers with AVX2, not the same ones every time.
-if platform.machine() in ("x86_64", "AMD64"):
-    QUICK_TO_COMPILE += " --xla_cpu_max_isa=SSE4_2"
 
 
 # Bytes of a process, of which there may be many.
