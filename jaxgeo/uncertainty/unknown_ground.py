@@ -46,8 +46,8 @@ def lost_beside(
     sigmas at which one does).
 
     The lines are lifted by `levels` sigmas, of equal probability, and independently moved aside. `met` is the distance
-    in m ahead of the fix at which those of each level meet the ground in the plane of the nominal one, minus infinity for
-    those that are not counted here. Lines are followed from where they sink below the top of unknown ground.
+    in m ahead of the fix at which those of each level meet the ground in the plane of the nominal one, minus infinity
+    for those that are not counted. Lines are followed from where they sink below the top of unknown ground.
     """
     if terrain.void_top is None:
         return jnp.asarray(0.0), jnp.asarray(jnp.inf)
@@ -57,9 +57,9 @@ def lost_beside(
     behind = REACH * lines.lift(jnp.zeros(())) / steep
     before = jnp.minimum(jnp.maximum(top, 0.0) / steep + behind, nominal.distance * lines.level)
     ends = jnp.stack([-before, 0.5 * (behind - before), behind])
-    paths = _paths(nominal, lines.level, ends, ASIDE[:, None] * lines.aside(ends)[None, :])
+    paths = _paths(nominal, lines.level, ends, jnp.asarray(ASIDE)[:, None] * lines.aside(ends)[None, :])
     known = jax.vmap(terrain.known_along)(paths, jnp.asarray(SHARES))
-    ahead = SHARES * (before + behind) - before
+    ahead = jnp.asarray(SHARES) * (before + behind) - before
     height = ahead**2 / (2.0 * EARTH) - fall * ahead  # of the nominal line over the fix
     wall = jnp.where(known, -jnp.inf, (top - height) / lines.lift(ahead))
     met = met + (before + behind) / STATIONS  # the ground that they meet may itself be unknown

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +26,7 @@ FALL = 0.2  # m per m: descent of a line of sight northwards to the middle of th
 LIFT, ASIDE = 8.0, 60.0  # m: standard deviations of its height over the ground and of its place aside
 
 
-def level_ground(rows=slice(0), cols=slice(0), *, width: int = SIZE, top: float = TOP) -> Dem:
+def level_ground(rows: Any = slice(0), cols: Any = slice(0), *, width: int = SIZE, top: float = TOP) -> Dem:
     """Level posts with a void; rows go south. Columns from `width` on are outside."""
     void = np.zeros((SIZE, SIZE), bool)
     void[rows, cols] = True
@@ -37,7 +39,7 @@ def northwards() -> NominalFix:
     position = Geodetic(lat=CENTRE.lat, lon=CENTRE.lon, height=GROUND)
     p_ecef, away = WGS84.to_ecef(position), 5000.0
     direction_enu = jnp.array([0.0, 1.0, -FALL]) / np.hypot(1.0, FALL)
-    fix = Fix(position, p_ecef, away, *map(jnp.asarray, (0.0, 0.0, 0.0)), np.int8(0))
+    fix = Fix(position, p_ecef, away, 0.0, 0.0, 0.0, np.int8(0))
     return NominalFix(fix, p_ecef, jnp.asarray(away), jnp.zeros(2, int), direction_enu, R_ecef_from_enu(position))
 
 
@@ -109,7 +111,7 @@ def test_no_void_is_passed_between_two_places() -> None:
     def looked_at(path):
         return jax.vmap(lambda place: terrain.ground_above(place)[1])(along_path(path, jnp.asarray(many)))
 
-    expected, found = np.asarray(looked_at(paths)).reshape(16, 128, 40).all(axis=2), np.asarray(found)
+    expected, found = np.all(np.asarray(looked_at(paths)).reshape(16, 128, 40), axis=2), np.asarray(found)
     assert 0.2 < np.mean(expected) < 0.95
     assert not np.any(found[:, :-1] & found[:, 1:] & ~expected[:, :-1])
     assert np.mean(~found & expected) < 0.001  # corners crossed by less than 0.7 m
