@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._checks import as_float64, concrete, require_x64
 from jaxgeo._numerics import all_finite, finite_or, safe_angle
@@ -21,7 +21,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain._memory import copied, handed_over
 from jaxgeo.terrain.field import AbstractField, BoundedField, Bounds, SumField, checked_field
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket
+from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket, along_path
 from jaxgeo.terrain.patch import Patch
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, check_size, extremes, known_posts
 
@@ -263,6 +263,28 @@ class Dem(AbstractTerrain):
 
     def spacing_at(self, p_ecef: Vector3) -> Scalar:
         return jnp.sqrt(jnp.prod(self.grid.cell_size_at(self.over(p_ecef)[0])))
+
+    def known_along(self, path: Float[Array, "3 3"], share: Float[Array, " places"]) -> Bool[Array, " places"]:
+        rowcol = along_path(jax.vmap(lambda p_ecef: self.over(p_ecef)[0])(path), share)
+        beyond = jnp.concatenate([rowcol[1:], rowcol[-1:]])
+        here, there = jnp.floor(rowcol), jnp.floor(beyond)
+        crosses, step = here != there, beyond - rowcol
+        at = jnp.where(crosses, (jnp.maximum(here, there) - rowcol) / jnp.where(crosses, step, 1.0), jnp.inf)
+        row_first = at[:, 0] < at[:, 1]
+        moves = jnp.stack([row_first, ~row_first], axis=1)
+        both = jnp.stack([here, jnp.where(moves, there, here)])
+        cells = jnp.clip(both.astype(jnp.int32), 0, (jnp.asarray(self.extent) - 2)[None, None, :])
+        inside = jax.vmap(self.contains)(rowcol)
+        return inside & jnp.append(inside[1:], inside[-1]) & ~jnp.any(self._touch_void(cells), axis=0)
+
+    def _touch_void(self, cells: Int[Array, "*shape 2"]) -> Bool[Array, "*shape"]:
+        """Whether cells within the grid have a void post."""
+        cols = jnp.shape(self.void)[1]
+        first = cells[..., 0] * cols + cells[..., 1]
+        posts = jnp.stack([first, first + 1, first + cols, first + cols + 1])
+        void = jnp.asarray(self.void).reshape(-1)
+        touch = lambda: jnp.any(void.at[posts].get(mode="promise_in_bounds"), axis=0)  # noqa: E731
+        return jax.lax.cond(self.has_void, touch, lambda: jnp.zeros(first.shape, bool))
 
     def normal_at(self, position: Geodetic) -> Vector3:
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as `height_at`."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField, StatusField, Vector3
@@ -93,3 +94,22 @@ class AbstractTerrain(Record):
         """`spacing` at a point (ECEF, m), which does not depend on how far the terrain extends."""
         del p_ecef
         return self.spacing()
+
+    @property
+    def void_top(self) -> Scalar | None:
+        """Ellipsoidal height in m below which lines of sight do not pass unknown ground; None if they do."""
+        return None
+
+    def known_along(self, path: Float[Array, "3 3"], share: Float[Array, " places"]) -> Bool[Array, " places"]:
+        """Whether the ground is known below a nearly straight path, at growing shares of its length.
+
+        `path` is its start, middle and end (ECEF, m). Terrain of cells also looks up to the next share, if that is no
+        farther than a cell.
+        """
+        return jax.vmap(lambda place: self.ground_above(place)[1])(along_path(path, share))
+
+
+def along_path(path: Float[Array, "3 n"], share: Float[Array, " places"]) -> Float[Array, "places n"]:
+    """Places of a parabola through start, middle and end of a path, at shares of its length."""
+    start, middle, end = (1.0 - share) * (1.0 - 2.0 * share), 4.0 * share * (1.0 - share), share * (2.0 * share - 1.0)
+    return jnp.stack([start, middle, end], axis=1) @ path

@@ -15,11 +15,13 @@ from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.model_inputs import FARTHER, NominalFix, Sweep
+from jaxgeo.uncertainty.unknown_ground import LinesOfSight, lost_beside
 
 NODES = 512  # sample points before the fix, and the same number behind it
 NEAREST = 0.25  # of a cell: distance of the nearest ones
 GROWTH = 1.009  # of the spacing; the farthest are 2700 cells away
 LEVELS = 256  # lines of sight of equal probability
+FEW = slice(4, None, 8)  # of the lines, for what is beside them
 HALVINGS, HALVINGS_NEAR = 40, 18  # of the whole range, and between ends that are near
 FLAT = 1e-3  # horizontal component of a direction, at least: steeper lines of sight have no profile
 LEAST = 1e-9  # m: lower limit of a standard deviation
@@ -56,10 +58,10 @@ class Profile(NamedTuple):
 
     `ahead` of the fix along the line of sight, `across` and `up` in m are the mean ground point of each of `LEVELS`
     lines (infinite if there is none), `across_sigma` and `up_sigma` the remaining standard deviations. `jumps` is the
-    share that hits the ground beyond a gap of hidden ground, `fails` the share that hits no ground; `clearance` is the
-    smallest number of sigmas at which either happens. `unseen` is the length of hidden ground up to each of `places`,
-    m, `gap` the longest hidden ground that is ignored, and `off` the distance between the ground probed at the fix and
-    the fix, infinite if unknown.
+    share that hits the ground beyond a gap of hidden ground, `fails` the share that hits no ground, or unknown ground
+    beside the plane first; `clearance` is the smallest number of sigmas at which either happens. `unseen` is the length
+    of hidden ground up to each of `places`, m, `gap` the longest hidden ground that is ignored, and `off` the distance
+    between the ground probed at the fix and the fix, infinite if unknown.
     """
 
     ahead: Levels
@@ -154,15 +156,19 @@ def profile_of(
     else:
         places, gap = _by_spacing(spacing), GAP * spacing
     ground, off = _ground(terrain, nominal, level, places)
-    lift = lift_at_fix[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
-    sigma = jnp.maximum(jnp.sqrt(jnp.maximum(jnp.sum((lift @ cov_error) * lift, axis=1), 0.0)), LEAST)
+    lift = _sigma_ahead(lift_at_fix, turn / level, cov_error)
+    sigma = lift(places)
 
     levels = _normal_levels()
     ahead, rise, fell, unseen = _first_met(ground, ground.above / sigma, levels)
     jumped = fell & (jnp.abs(jnp.interp(ahead, ground.ahead, unseen) - unseen[NODES]) > gap)
-    at_fix = lift[NODES] / sigma[NODES]
+    at_fix = lift_at_fix / sigma[NODES]
     across, across_sigma = _given_lift(aside, at_fix, cov_error)
     up, up_sigma = _given_lift(sweep.ground + rise_aside, at_fix, cov_error)
+    side = _sigma_ahead(aside, to_side @ (sweep.farther - sweep.line)[:2] / (FARTHER * level), cov_error)
+    met = jnp.where(fell, ahead, -jnp.inf)[FEW]
+    lost, nearest = lost_beside(terrain, nominal, LinesOfSight(level, lift, side), levels[FEW], met)
+    clearance = jnp.min(jnp.where(jumped | ~fell, jnp.abs(levels), jnp.inf))
     return Profile(
         ahead=jnp.where(fell, ahead, jnp.inf),
         across=across * levels,
@@ -170,8 +176,8 @@ def profile_of(
         across_sigma=across_sigma,
         up_sigma=up_sigma,
         jumps=jnp.mean(jumped),
-        fails=jnp.mean(~fell),
-        clearance=jnp.min(jnp.where(jumped | ~fell, jnp.abs(levels), jnp.inf)),
+        fails=jnp.mean(~fell) + lost,
+        clearance=jnp.minimum(clearance, nearest),
         places=ground.ahead,
         unseen=unseen,
         gap=gap,
@@ -215,6 +221,19 @@ def _by_errors(sigma: Scalar, distance: Scalar) -> tuple[Places, Scalar]:
 
 def _both_ways(aside: Float[Array, " half"]) -> Places:
     return jnp.concatenate([-aside[::-1], jnp.zeros(1), aside])
+
+
+def _sigma_ahead(
+    at_fix: Float[Array, " axes"], per_metre: Float[Array, " axes"], cov_error: Float[Array, "axes axes"]
+) -> Callable[[Array], Array]:
+    """Standard deviation in m of a quantity of the line of sight at distances ahead of the fix, m."""
+    both = jnp.stack([at_fix, per_metre])
+    (here, mixed), (_, there) = both @ cov_error @ both.T
+
+    def sigma(ahead: Array) -> Array:
+        return jnp.maximum(jnp.sqrt(jnp.maximum(here + ahead * (2.0 * mixed + ahead * there), 0.0)), LEAST)
+
+    return sigma
 
 
 def _sigma(moved: Float[Array, " axes"], cov_error: Float[Array, "axes axes"]) -> Scalar:
