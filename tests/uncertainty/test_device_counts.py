@@ -51,8 +51,8 @@ def test_counts_of_parts_are_those_of_the_host(groups: int) -> None:
         for counter, number in zip(counters, (0, 2), strict=True):
             counter.add(np.asarray(own.radii[number]), first)
     np.testing.assert_array_equal(counts.codes(), codes)
-    for number, counter in enumerate(counters):
-        found, expected = counts.histogram(number), counter.histogram()
+    for found, counter in zip(counts.histograms(), counters, strict=True):
+        expected = counter.histogram()
         np.testing.assert_array_equal(found.bins, expected.bins)
         np.testing.assert_array_equal(found.counts, expected.counts)
         assert found.interval(0.9, 0.95) == expected.interval(0.9, 0.95)
