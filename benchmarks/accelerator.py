@@ -309,7 +309,7 @@ def accuracies(bench: Bench) -> list[Table]:
     def made(place: Any, uv: Any) -> Any:
         with jax.default_device(place):
             look = jax.device_put((sensor, shot, dem, errors), place)
-            return jaxgeo.accuracy(*look[:2], uv, *look[2:], sampling=None)
+            return jaxgeo.accuracy(look[0], look[1], uv, look[2], look[3], sampling=None)
 
     columns = [Column("pixels"), Column("rate", "thousand/s", "higher"), Column("compiling", "s", "lower")]
     columns += [Column("by the CPU", "thousand/s"), Column("other methods than a CPU's", "", "lower")]
@@ -326,8 +326,9 @@ def accuracies(bench: Bench) -> list[Table]:
 
 def calls(bench: Bench) -> list[Table]:
     """Time of single calls of one pixel, compiled before."""
-    sensor, shot, dem = _view(bench)
-    errors, uv, key = presets.li_2023(terrain_height=5.0), np.array([3000.0, 2000.0]), jax.random.key(1)
+    *look, dem = _view(bench)
+    sensor, shot, errors = jax.tree.map(np.asarray, (*look, presets.li_2023(terrain_height=5.0)))  # as users have them
+    uv, key = np.array([3000.0, 2000.0]), jax.random.key(1)
     ground = jaxgeo.locate(sensor, shot, uv, dem).position
     runs: dict[str, Callable[..., Any]] = {
         "locate": lambda sensor, shot, dem, errors: jaxgeo.locate(sensor, shot, uv, dem),
@@ -337,16 +338,19 @@ def calls(bench: Bench) -> list[Table]:
         ),
     }
     for count in (10_000, 1_000_000):
-        runs[f"sample, {count:,} with summary"] = lambda *look, count=count: jaxgeo.sample(
-            *look[:2], uv, *look[2:], key=key, count=count, summary=True, devices=list(dem_devices(look))
-        )
+
+        def drawn(sensor: Any, shot: Any, dem: Any, errors: Any, count: int = count) -> Any:
+            options: Any = {"key": key, "count": count, "summary": True, "devices": list(dem.posts.devices())}
+            return jaxgeo.sample(sensor, shot, uv, dem, errors, **options)
+
+        runs[f"sample, {count:,} with summary"] = drawn
     columns = [Column("call"), Column("time", "ms", "lower"), Column("compiling", "s", "lower")]
     table = Table("Single calls", [*columns, Column("by the CPU", "ms"), Column("compiling for it", "s")])
     for name, run in runs.items():
         row: list[Any] = [name]
         for place in (bench.place, bench.cpu):
             with jax.default_device(place):
-                look = jax.device_put((sensor, shot, dem, errors), place)
+                look = sensor, shot, jax.device_put(dem, place), errors
                 _, compiling, _ = bench.measured(lambda run=run, look=look: run(*look))
                 times = [
                     measuring.timed(lambda run=run, look=look: jax.block_until_ready(run(*look)))[1] for _ in range(9)
@@ -354,11 +358,6 @@ def calls(bench: Bench) -> list[Table]:
                 row += [1e3 * statistics.median(times), compiling]
         table.rows.append(row)
     return [table]
-
-
-def dem_devices(look: Any) -> set[Any]:
-    """The devices of the posts."""
-    return jax.tree.leaves(look[2])[0].devices()
 
 
 def samples(bench: Bench) -> list[Table]:

@@ -21,7 +21,7 @@ def platform_of(devices: Sequence[Any] = ()) -> str:
     device: Any = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if device is None:
         return jax.default_backend()
-    return device if isinstance(device, str) else device.platform
+    return jax.devices(device)[0].platform if isinstance(device, str) else device.platform
 
 
 def on_accelerator(devices: Sequence[Any] = ()) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import itertools
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -45,14 +46,14 @@ def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int 
     size, whole = min(int(size), count), None
     many = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, many)  # each slice is a program
     parts = by_device(_in_turn, _one_ahead)(function, many, common, [*range(0, count, size)], size)
-    with ThreadPoolExecutor(by_device(1, WRITERS)) as pool:
+    with ThreadPoolExecutor(WRITERS) as pool:  # without a thread until it is used
+        each = by_device(map, pool.map)
         for first, part in parts:
             if whole is None:
                 _give_back(function, part)
                 whole = jax.tree.map(lambda x: np.empty((count, *x.shape[1:]), x.dtype), part)
-            pairs = zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True)
-            one_by_one = by_device(map, pool.map)
-            list(one_by_one(lambda pair, a=first: _put(*pair, a, min(a + size, count)), pairs))
+            some = itertools.repeat(slice(first, first + size))
+            list(each(_put, jax.tree.leaves(whole), jax.tree.leaves(part), some))
     return whole
 
 
@@ -90,8 +91,10 @@ def _filled(x: Any, first: int, size: int) -> np.ndarray:
     return part if missing == 0 else np.concatenate([part, np.repeat(part[-1:], missing, axis=0)])
 
 
-def _put(whole: np.ndarray, part: Any, first: int, last: int) -> None:
-    whole[first:last] = np.asarray(part)[: last - first]
+def _put(whole: np.ndarray, part: Any, here: slice) -> None:
+    """Write a batch, without its padding, into its place."""
+    place = whole[here]
+    place[:] = np.asarray(part)[: len(place)]
 
 
 def _give_back(function: Callable[..., Any], part: Any) -> None:

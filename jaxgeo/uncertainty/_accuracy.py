@@ -72,7 +72,7 @@ def accuracy(
       batches too.
     - `sampling=None` draws nothing and works under `jit`, `vmap` and derivatives: figures that need samples are NaN.
 
-    Of many pixels `block` are evaluated at a time, which bounds the memory (by default 128, on an accelerator 8192),
+    Of many pixels `block` are evaluated at a time, which bounds the memory (by default 128, on an accelerator 1024),
     and of many exposures at most 16 (on an accelerator `block`); all are sampled with the same key. A missing fix
     raises `ValueError` if there is one observation and `sampling`; otherwise it has a status, and NaN. Raises as
     `propagate`; `ValueError` for a probability outside (0, 1) and unequal batches; `TypeError` if samples would have to

@@ -129,7 +129,7 @@ def accuracy_map(
     latitudes and longitudes in rad, of one shape; heights are those of the terrain. The default is the centre of every
     `step`-th cell of a `Dem`, (rows, cols). Where samples are needed, 2000 are drawn, or as many as `sampling` says,
     all with the same key, so that neighbours differ only by their ground; with `sampling=None`, or a `count` of 0,
-    there are no figures there. `block` cells (by default 128, on an accelerator 8192) are evaluated at a time, which
+    there are no figures there. `block` cells (by default 128, on an accelerator 1024) are evaluated at a time, which
     bounds the memory and does not change the results. Raises as `accuracy`, but not for a missing fix.
     """
     how: Any = {"probability": probability, "sampling": sampling, "time": time, "search": search}

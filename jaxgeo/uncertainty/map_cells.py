@@ -27,7 +27,7 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampling import Sampling
 
 BLOCK = 128  # fixes evaluated at once: about 100 MB
-BLOCK_ACCELERATOR = 2**13  # the same on an accelerator
+BLOCK_ACCELERATOR = 1024  # the same on an accelerator: 0.5 GB
 SAME_GROUND = 0.1  # m: largest distance between a cell and the fix of its pixel
 
 linear_radii_of_block = jax.jit(linear_radii)
