@@ -41,6 +41,7 @@ SAME = 1e-6  # m
 AT_ONCE = 10_000_000  # rays, pixels or points of one call, at most
 SECTOR = 32  # bytes that a GPU reads from memory at least
 PIXELS = 100_000  # distinct ones; larger batches repeat them
+FIGURES, TIMES = 1024, 16  # pixels whose accuracy a CPU computes, and how often the device does
 KEPT = 200_000  # samples that are compared one by one
 BAND_SIZE = (4000, 6000)  # (rows, cols) of the rectified image
 CELLS, FEW_CELLS = 8192, 1024  # on a side of the rectified image
@@ -266,6 +267,99 @@ def locate(bench: Bench) -> list[Table]:
     return [there, back]
 
 
+def bent(bench: Bench) -> list[Table]:
+    """Pixels to the ground along lines of sight bent by the standard atmosphere."""
+    look = (*_view(bench), jaxgeo.Atmosphere())
+    return [_batched(bench, "`locate` with refraction", "pixels", jnp.asarray(_pixels(look[0])), _bent, look)[0]]
+
+
+def _bent(uv: Any, sensor: Any, shot: Any, dem: Any, air: Any) -> Answer:
+    one = lambda uv: jaxgeo.locate(sensor, shot, uv, dem, atmosphere=air)  # noqa: E731
+    return _answer(jax.vmap(one)(uv))
+
+
+def batches(bench: Bench) -> list[Table]:
+    """`in_batches` of `locate`: from pixels on the host to fixes on the host."""
+    look, uv = _view(bench), _pixels(_view(bench)[0])
+    columns = [Column("pixels"), Column("rate", "M pixels/s", "higher"), Column("compiling", "s", "lower")]
+    table = Table("`in_batches` of `locate`", [*columns, *CHECKS])
+
+    def made(place: Any, uv: Any) -> Answer:
+        with jax.default_device(place):
+            return jaxgeo.in_batches(_locate_one, uv, *jax.device_put(look, place))
+
+    expected = made(bench.cpu, uv)
+    for number in sizes(min(bench.largest, AT_ONCE), 1_000_000):
+        many = np.tile(uv, (max(number // PIXELS, 1), 1))
+        found, compiling, seconds = bench.measured(lambda many=many: made(bench.place, many))
+        table.rows.append([len(many), 1e-6 * len(many) / seconds, compiling, *wrong(found, expected, bench.place)])
+    return [table]
+
+
+def _locate_one(uv: Any, sensor: Any, shot: Any, dem: Any) -> Answer:
+    return _answer(jaxgeo.locate(sensor, shot, uv, dem))
+
+
+def accuracies(bench: Bench) -> list[Table]:
+    """Accuracy of many pixels of one image by linear propagation, and of the cells of a map."""
+    sensor, shot, dem = _view(bench)
+    errors, uv = presets.li_2023(terrain_height=5.0), _pixels(sensor)[:FIGURES]
+    many = np.tile(uv, (TIMES, 1))
+
+    def made(place: Any, uv: Any) -> Any:
+        with jax.default_device(place):
+            look = jax.device_put((sensor, shot, dem, errors), place)
+            return jaxgeo.accuracy(look[0], look[1], uv, look[2], look[3], sampling=None)
+
+    columns = [Column("pixels"), Column("rate", "thousand/s", "higher"), Column("compiling", "s", "lower")]
+    columns += [Column("by the CPU", "thousand/s"), Column("other methods than a CPU's", "", "lower")]
+    columns += [Column("CE90 apart, of itself", "", "lower")]
+    table = Table("`accuracy` of pixels, without samples", columns)
+    expected, _, of_cpu = bench.measured(lambda: made(bench.cpu, uv))
+    found, compiling, seconds = bench.measured(lambda: made(bench.place, many))
+    repeated = lambda x: np.tile(np.asarray(x), TIMES)  # noqa: E731
+    other = int(np.sum(np.asarray(found.method) != repeated(expected.method)))
+    apart = float(np.nanmax(np.abs(np.asarray(found.circular) / repeated(expected.circular) - 1.0)))
+    table.rows.append([len(many), 1e-3 * len(many) / seconds, compiling, 1e-3 * len(uv) / of_cpu, other, apart])
+    return [table]
+
+
+def calls(bench: Bench) -> list[Table]:
+    """Time of single calls of one pixel, compiled before."""
+    *look, dem = _view(bench)
+    sensor, shot, errors = jax.tree.map(np.asarray, (*look, presets.li_2023(terrain_height=5.0)))  # as users have them
+    uv, key = np.array([3000.0, 2000.0]), jax.random.key(1)
+    ground = jaxgeo.locate(sensor, shot, uv, dem).position
+    runs: dict[str, Callable[..., Any]] = {
+        "locate": lambda sensor, shot, dem, errors: jaxgeo.locate(sensor, shot, uv, dem),
+        "project": lambda sensor, shot, dem, errors: jaxgeo.project(sensor, shot, ground),
+        "accuracy, without samples": lambda sensor, shot, dem, errors: jaxgeo.accuracy(
+            sensor, shot, uv, dem, errors, sampling=None
+        ),
+    }
+    for count in (10_000, 1_000_000):
+
+        def drawn(sensor: Any, shot: Any, dem: Any, errors: Any, count: int = count) -> Any:
+            options: Any = {"key": key, "count": count, "summary": True, "devices": list(dem.posts.devices())}
+            return jaxgeo.sample(sensor, shot, uv, dem, errors, **options)
+
+        runs[f"sample, {count:,} with summary"] = drawn
+    columns = [Column("call"), Column("time", "ms", "lower"), Column("compiling", "s", "lower")]
+    table = Table("Single calls", [*columns, Column("by the CPU", "ms"), Column("compiling for it", "s")])
+    for name, run in runs.items():
+        row: list[Any] = [name]
+        for place in (bench.place, bench.cpu):
+            with jax.default_device(place):
+                look = sensor, shot, jax.device_put(dem, place), errors
+                _, compiling, _ = bench.measured(lambda run=run, look=look: run(*look))
+                times = [
+                    measuring.timed(lambda run=run, look=look: jax.block_until_ready(run(*look)))[1] for _ in range(9)
+                ]
+                row += [1e3 * statistics.median(times), compiling]
+        table.rows.append(row)
+    return [table]
+
+
 def samples(bench: Bench) -> list[Table]:
     """Monte Carlo samples of one pixel, radii counted in bins."""
     sensor, shot, dem = _view(bench)
@@ -372,6 +466,10 @@ def _centres_and_points(ours: Any, theirs: Any) -> list[tuple[Any, Any]]:
 PARTS: dict[str, Callable[[Bench], list[Table]]] = {
     "rays": rays,
     "locate": locate,
+    "bent": bent,
+    "batches": batches,
+    "accuracies": accuracies,
+    "calls": calls,
     "samples": samples,
     "ortho": ortho,
     "adjustment": adjustment,

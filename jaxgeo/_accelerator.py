@@ -14,14 +14,19 @@ import jax
 T = TypeVar("T")
 
 
-def on_accelerator(devices: Sequence[Any] = ()) -> bool:
-    """Whether programs run on an accelerator: on the given devices, by default on JAX's default device."""
+def platform_of(devices: Sequence[Any] = ()) -> str:
+    """Platform that programs run on ("cpu", "gpu", "tpu"): of the given devices, by default JAX's default device."""
     if devices:
-        return devices[0].platform != "cpu"
+        return devices[0].platform
     device: Any = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if device is None:
-        return jax.default_backend() != "cpu"
-    return (device if isinstance(device, str) else device.platform) != "cpu"
+        return jax.default_backend()
+    return jax.devices(device)[0].platform if isinstance(device, str) else device.platform
+
+
+def on_accelerator(devices: Sequence[Any] = ()) -> bool:
+    """Whether programs run on an accelerator, see `platform_of`."""
+    return platform_of(devices) != "cpu"
 
 
 def by_device(cpu: T, accelerator: T, devices: Sequence[Any] = ()) -> T:

@@ -18,6 +18,7 @@ from jax._src.core import trace_state_clean
 from jax.core import Tracer
 from jax.custom_batching import custom_vmap
 
+from jaxgeo._accelerator import platform_of
 from jaxgeo._checks import is_known
 from jaxgeo._program_cache import folder_in_use
 from jaxgeo._program_store import Programs, is_debugging
@@ -33,41 +34,55 @@ GRAPHS = "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION,CONDITIO
 PASSES = "while-loop-invariant-code-motion,simplify-while-loops,tree_reduction_rewriter"
 
 
-@functools.cache
 def quick_options() -> dict[str, Any]:
     """XLA CPU options: the older emitter, with little optimisation; none on other backends or if not supported.
 
     A level set in `XLA_FLAGS` is kept. Not level 0: with it and the older emitter, XLA of jaxlib 0.10 gives wrong
     numbers on processors with AVX2.
     """
+    return _quick_options(platform_of())
+
+
+def batch_options() -> dict[str, Any]:
+    """XLA options for batches: on CPUs optimised, by the older emitter, without passes that help no batch."""
+    return _batch_options(platform_of())
+
+
+def long_run_options() -> dict[str, Any]:
+    """As `batch_options`, on CPUs by the usual emitter: a quarter faster to run, for half more time to compile."""
+    return _long_run_options(platform_of())
+
+
+@functools.cache
+def _quick_options(platform: str) -> dict[str, Any]:
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": PASSES}
     if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
         options["xla_backend_optimization_level"] = 1
-    return _supported(options)
+    return _supported(options, platform)
 
 
 @functools.cache
-def batch_options() -> dict[str, Any]:
-    """XLA options for batches: on CPUs optimised, by the older emitter, without passes that help no batch."""
-    return _graphs() or _supported({"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": PASSES})
+def _batch_options(platform: str) -> dict[str, Any]:
+    return _graphs(platform) or _supported(
+        {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": PASSES}, platform
+    )
 
 
 @functools.cache
-def long_run_options() -> dict[str, Any]:
-    """As `batch_options`, on CPUs by the usual emitter: a quarter faster to run, for half more time to compile."""
-    return _graphs() or _supported({"xla_disable_hlo_passes": PASSES})
+def _long_run_options(platform: str) -> dict[str, Any]:
+    return _graphs(platform) or _supported({"xla_disable_hlo_passes": PASSES}, platform)
 
 
-def _graphs() -> dict[str, Any]:
+def _graphs(platform: str) -> dict[str, Any]:
     """XLA GPU options: loops and branches as CUDA graphs, so that the GPU does not wait for the host in each round."""
     name = "xla_gpu_enable_command_buffer"
-    if jax.default_backend() != "gpu" or name in os.environ.get("XLA_FLAGS", ""):
+    if platform != "gpu" or name in os.environ.get("XLA_FLAGS", ""):
         return {}
     return _accepted({name: GRAPHS})
 
 
-def _supported(options: dict[str, Any]) -> dict[str, Any]:
-    return _accepted(options) if jax.default_backend() == "cpu" else {}
+def _supported(options: dict[str, Any], platform: str) -> dict[str, Any]:
+    return _accepted(options) if platform == "cpu" else {}
 
 
 def _accepted(options: dict[str, Any]) -> dict[str, Any]:
@@ -139,7 +154,7 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
     usual = jit(function)
 
     @functools.cache
-    def quick() -> Any:
+    def quick(platform: str) -> Any:
         return jit(function, compiler_options=options_of())
 
     kept = Programs(function, options_of, (lambda _: True) if jit is jax.jit else eqx.is_array)
@@ -151,7 +166,7 @@ def _quick(function: T, jit: Callable[..., Any], options_of: Callable[[], dict[s
         folder = folder_in_use()
         with RARE_COLLECTION:
             by_kept = None if folder is None else kept.call(folder, args, options)
-            return quick()(*args, **options) if by_kept is None else by_kept()
+            return quick(platform_of())(*args, **options) if by_kept is None else by_kept()
 
     return call  # pyright: ignore
 
@@ -188,7 +203,7 @@ class Batches:
         leaves: list[Any]
         leaves, structure = jax.tree.flatten(inputs)
         traced: list[Any] = [leaf for leaf in leaves if isinstance(leaf, Tracer)]
-        if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or jax.default_backend() != "cpu":
+        if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or platform_of() != "cpu":
             return None
         if not batch_options() or is_debugging():
             return None
@@ -234,7 +249,7 @@ def _is_mapped_once(leaf: Any, other: Any) -> bool:
         return True
     if not isinstance(value, jax.Array) or isinstance(value, Tracer):
         return False
-    return value.is_fully_addressable and value.devices() == {jax.devices()[0]}
+    return value.is_fully_addressable and value.devices() == {jax.devices(platform_of())[0]}
 
 
 def _delivered(found: Any, traced: Any) -> Any:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +18,7 @@ from jaxgeo._accelerator import by_device
 from jaxgeo._compile import long_run_filter_jit
 
 SIZE, SIZE_ACCELERATOR = 16_384, 2**20
+WRITERS = 8  # threads that write the results of an accelerator to the host's memory, each an array at a time
 
 
 def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int | None = None) -> Any:
@@ -41,14 +44,39 @@ def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int 
         )
     count = int(counts.pop() or 0)
     size, whole = min(int(size), count), None
-    for first in range(0, count, size):
-        last = min(first + size, count)
-        part = _batch(function, jax.tree.map(lambda x, a=first, b=last: _filled(x, a, b, size), many), common)
-        if whole is None:
-            _give_back()
-            whole = jax.tree.map(lambda x: np.empty((count, *x.shape[1:]), x.dtype), part)
-        jax.tree.map(lambda all_, some, a=first, b=last: _put(all_, some, a, b), whole, part)
+    many = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, many)  # each slice is a program
+    parts = by_device(_in_turn, _one_ahead)(function, many, common, [*range(0, count, size)], size)
+    with ThreadPoolExecutor(WRITERS) as pool:  # without a thread until it is used
+        each = by_device(map, pool.map)
+        for first, part in parts:
+            if whole is None:
+                _give_back(function, part)
+                whole = jax.tree.map(lambda x: np.empty((count, *x.shape[1:]), x.dtype), part)
+            some = itertools.repeat(slice(first, first + size))
+            list(each(_put, jax.tree.leaves(whole), jax.tree.leaves(part), some))
     return whole
+
+
+def _in_turn(
+    function: Callable[..., Any], many: Any, common: tuple[Any, ...], starts: list[int], size: int
+) -> Iterator[tuple[int, Any]]:
+    """(first item, results) batch by batch."""
+    for first in starts:
+        part = jax.tree.map(lambda x, a=first: _filled(x, a, size), many)
+        yield first, _batch(function, part, common)
+
+
+def _one_ahead(*how: Any) -> Iterator[tuple[int, Any]]:
+    """As `_in_turn`; a device of its own computes the next batch while one goes to the host."""
+    waiting = None
+    for first, part in _in_turn(*how):
+        for leaf in jax.tree.leaves(part):
+            leaf.copy_to_host_async()
+        if waiting is not None:
+            yield waiting
+        waiting = first, part
+    if waiting is not None:
+        yield waiting
 
 
 @long_run_filter_jit
@@ -56,21 +84,33 @@ def _batch(function: Callable[..., Any], many: Any, common: tuple[Any, ...]) -> 
     return jax.vmap(lambda item: function(item, *common))(many)
 
 
-def _filled(x: Any, first: int, last: int, size: int) -> np.ndarray:
-    """Entries from `first` to `last`, padded to `size` by repeating the last one."""
-    part = np.asarray(x[first:last])
+def _filled(x: Any, first: int, size: int) -> np.ndarray:
+    """`size` entries from `first` on, padded by repeating the last one."""
+    part = np.asarray(x[first : first + size])
     missing = size - len(part)
     return part if missing == 0 else np.concatenate([part, np.repeat(part[-1:], missing, axis=0)])
 
 
-def _put(whole: np.ndarray, part: Any, first: int, last: int) -> None:
-    whole[first:last] = np.asarray(part)[: last - first]
+def _put(whole: np.ndarray, part: Any, here: slice) -> None:
+    """Write a batch, without its padding, into its place."""
+    place = whole[here]
+    place[:] = np.asarray(part)[: len(place)]
 
 
-def _give_back() -> None:
-    """Return memory freed after tracing and compiling to the system: half a GB, which glibc would keep."""
+def _give_back(function: Callable[..., Any], part: Any) -> None:
+    """Return memory freed after tracing and compiling to the system: half a GB, which glibc would keep.
+
+    Not again for the same function and results of the same shapes, which hardly compile anything.
+    """
+    key = hash((id(function), *[(x.shape, x.dtype) for x in jax.tree.leaves(part)]))
+    if key in _given_back:
+        return
+    _given_back.add(key)
     gc.collect()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:  # glibc only
             trim(0)
+
+
+_given_back: set[int] = set()

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import jaxgeo
+from jaxgeo import _accelerator
 
 CALLS: list[tuple[int, ...]] = []
 
@@ -21,7 +22,7 @@ CALLS: list[tuple[int, ...]] = []
 def given_back(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """How often memory was given back, which takes a second in a large process and is not done here."""
     calls: list[bool] = []
-    monkeypatch.setattr("jaxgeo.batches._give_back", lambda: calls.append(True))
+    monkeypatch.setattr("jaxgeo.batches._give_back", lambda *_: calls.append(True))
     return calls
 
 
@@ -31,8 +32,12 @@ def moved(p: Any, by: Any) -> tuple[Any, Any]:
     return p + by, jnp.sum(p * p) > 1.0
 
 
+@pytest.mark.parametrize("is_accelerator", [False, True], ids=["CPU", "accelerator"])
 @pytest.mark.parametrize("count, size", [(1, 1), (7, 3), (6, 3), (5, 100), (10, 4)])
-def test_answers_are_those_of_all_at_once(count: int, size: int) -> None:
+def test_answers_are_those_of_all_at_once(
+    count: int, size: int, is_accelerator: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_accelerator, "on_accelerator", lambda *_: is_accelerator)
     p, by = np.random.default_rng(count).normal(size=(count, 2)), jnp.array([1.0, -2.0])
     found = jaxgeo.in_batches(moved, p, by, size=size)
     right = jax.vmap(moved, in_axes=(0, None))(jnp.asarray(p), by)

@@ -16,7 +16,7 @@ import pytest
 from jax.core import Tracer
 
 import jaxgeo
-from jaxgeo._compile import one_program, quick_filter_jit, quick_jit
+from jaxgeo._compile import batch_options, long_run_options, one_program, quick_filter_jit, quick_jit, quick_options
 from jaxgeo._program_cache import forget_oldest
 
 KEEPS = """
@@ -217,3 +217,11 @@ def test_rows_of_any_argument_are_mapped_and_a_missing_fix_is_told() -> None:
     across = jax.vmap(jaxgeo.locate, in_axes=(None, None, 1, None))(sensor, shot, PIXELS[:4].T, GROUND)
     along = jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(sensor, shot, PIXELS[:4], GROUND)
     np.testing.assert_array_equal(across.ecef, along.ecef)
+
+
+def test_options_are_those_of_the_device_that_programs_run_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    on_cpu = [options() for options in (quick_options, batch_options, long_run_options)]
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    assert [options() for options in (quick_options, batch_options, long_run_options)] == [{}, {}, {}]
+    with jax.default_device(jax.devices("cpu")[0]):
+        assert [options() for options in (quick_options, batch_options, long_run_options)] == on_cpu

@@ -36,6 +36,7 @@ LAYER = {package: number for number, packages in enumerate(LAYERS) for package i
 WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in LAYERS[0]]} | {
     frozenset({"_checks", "_numerics"}),
     frozenset({"status", "_checks"}),
+    frozenset({"_compile", "_accelerator"}),
     frozenset({"_compile", "_checks"}),
     frozenset({"_compile", "_program_cache"}),
     frozenset({"_compile", "_program_store"}),

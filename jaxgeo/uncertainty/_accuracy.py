@@ -25,7 +25,7 @@ from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, method_of, over_profile, profile_factors
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
-from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
+from jaxgeo.uncertainty.map_cells import Request, cells_of_pixels, check_block, check_level
 from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
@@ -53,7 +53,7 @@ def accuracy(
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
 ) -> Accuracy:
     """Accuracy of the fix that `locate` returns for the same arguments, or of many fixes at once.
 
@@ -71,10 +71,11 @@ def accuracy(
       batches too.
     - `sampling=None` draws nothing and works under `jit`, `vmap` and derivatives: figures that need samples are NaN.
 
-    Of many pixels `block` are evaluated at a time, which bounds the memory, and of many exposures at most 16; all are
-    sampled with the same key. A missing fix raises `ValueError` if there is one observation and `sampling`; otherwise
-    it has a status, and NaN. Raises as `propagate`; `ValueError` for a probability outside (0, 1) and unequal batches;
-    `TypeError` if samples would have to be drawn under `jit` or `vmap`.
+    Of many pixels `block` are evaluated at a time, which bounds the memory (by default 128, on an accelerator 1024),
+    and of many exposures at most 16 (on an accelerator `block`); all are sampled with the same key. A missing fix
+    raises `ValueError` if there is one observation and `sampling`; otherwise it has a status, and NaN. Raises as
+    `propagate`; `ValueError` for a probability outside (0, 1) and unequal batches; `TypeError` if samples would have to
+    be drawn under `jit` or `vmap`.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)

@@ -24,7 +24,6 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.accuracy_record import Accuracy, OldNames, batch_of, summary
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, on_host, scatter, take
 from jaxgeo.uncertainty.map_cells import (
-    BLOCK,
     Cell,
     MapContext,
     Request,
@@ -120,7 +119,7 @@ def accuracy_map(
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
 ) -> AccuracyMap:
     """Accuracy of the fix of each ground point: in an image, or with the gimbal pointed at it from a pose.
 
@@ -130,8 +129,8 @@ def accuracy_map(
     latitudes and longitudes in rad, of one shape; heights are those of the terrain. The default is the centre of every
     `step`-th cell of a `Dem`, (rows, cols). Where samples are needed, 2000 are drawn, or as many as `sampling` says,
     all with the same key, so that neighbours differ only by their ground; with `sampling=None`, or a `count` of 0,
-    there are no figures there. `block` cells are evaluated at a time, which bounds the memory and does not change the
-    results. Raises as `accuracy`, but not for a missing fix.
+    there are no figures there. `block` cells (by default 128, on an accelerator 1024) are evaluated at a time, which
+    bounds the memory and does not change the results. Raises as `accuracy`, but not for a missing fix.
     """
     how: Any = {"probability": probability, "sampling": sampling, "time": time, "search": search}
     how |= {"atmosphere": atmosphere, "block": block}
@@ -169,7 +168,7 @@ def checked_map(
     time: Any = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Any = None,
-    block: Any = BLOCK,
+    block: Any = None,
 ) -> tuple[MapContext, ErrorModel, Request]:
     """Checked arguments of `accuracy_map`, except its ground points; compiles nothing. Raises as `accuracy_map`."""
     context, model = check_context(sensor, shot, terrain, errors, time, search, atmosphere)

@@ -121,6 +121,7 @@ def search_of_lines(search: AbstractSearch, inputs: ModelInputs, nominal: Nomina
 @quick_filter_jit
 def _beam(inputs: ModelInputs, distance: Scalar, trial: PerturbedLines) -> Beam:
     ray, _ = inputs.sightline()
+    trial = jax.tree.map(lambda x: x[:TRIALS], trial)
     farthest = lambda all_, middle: jnp.max(jnp.linalg.norm(all_ - middle[None, :], axis=1))  # noqa: E731
     lines = trial.sight.ray
     spread = Spread(farthest(lines.origin, ray.origin), farthest(lines.direction, ray.direction), trial.rise.max())

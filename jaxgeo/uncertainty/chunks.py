@@ -134,8 +134,12 @@ class Drawn(NamedTuple):
 
     def of_samples(self, first: int, count: int, size: Size) -> Drawn:
         """The chunk on the host: only the samples of the part, without the padding of each device's share."""
-        moments, *rest = jax.tree.map(np.asarray, tuple(self))
-        devices, skipped = len(moments), first % size.block
+        devices, skipped = len(size.devices), first % size.block
+        of_each = tuple(self)[1:]
+        if devices == 1 and by_device(False, True, size.devices):  # the rest of a large block stays there
+            least = 1 << (skipped + count - 1).bit_length()  # few sizes, each a program
+            of_each = jax.tree.map(lambda x: x[:least], of_each)
+        moments, *rest = jax.device_get((self.moments, *of_each))
         share = size.block * blocks_per_device(first, count, size)
 
         def own(x: np.ndarray) -> np.ndarray:
@@ -167,8 +171,9 @@ def make_plan(
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
     trial = draw_lines(plan.lines._replace(key=first_key()), Part.of(0, TRIALS, size), size, TRIALS)
-    some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)  # before it goes to the host
-    trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
+    if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
+        some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)
+        trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
     found = search_of_lines(search, plan.lines.inputs, nominal, trial)
     plan = plan._replace(fixes=plan.fixes._replace(search=found))
     if isinstance(draws, Sobol):

@@ -14,6 +14,8 @@ from jaxtyping import Array, Float, Int
 from jaxgeo.status import Status
 from jaxgeo.uncertainty.histogram import BINS, RadiusHistogram, bin_of_bits
 
+STEP = 3  # binary digits between sizes of what goes to the host
+
 if TYPE_CHECKING:
     from jaxgeo.uncertainty.chunks import Drawn, Size
 
@@ -31,8 +33,7 @@ class DeviceCounts:
     def __init__(self, radii: Sequence[int], groups: int, size: Size) -> None:
         """`radii` are the places of the counted figures among the radii of a chunk."""
         self._radii, self._groups, self._size = tuple(radii), groups, size
-        shape = len(self._radii), groups * BINS
-        self._counts = Counts(jnp.zeros(shape, jnp.int64), jnp.zeros(len(Status), jnp.int64))
+        self._counts = _none(len(self._radii), groups)
 
     def add(self, first: int, count: int, share: int, drawn: Drawn) -> None:
         """Count the samples of a chunk from number `first` on, of which each device drew `share`, padded."""
@@ -45,11 +46,32 @@ class DeviceCounts:
         """Number of samples by status."""
         return np.asarray(self._counts.codes)
 
-    def histogram(self, number: int) -> RadiusHistogram:
-        """Histogram so far of a figure by its place among those counted."""
-        counts = np.asarray(self._counts.bins[number])
-        bins = np.flatnonzero(counts)
-        return RadiusHistogram(self._groups, bins, counts[bins])
+    def histograms(self) -> list[RadiusHistogram]:
+        """Histograms so far of the counted figures; only occupied bins go to the host, whose copies take longest."""
+        occupied = np.asarray(_occupied(self._counts.bins))
+        power = max(int(occupied.max(initial=1)) - 1, 0).bit_length()
+        most = min(1 << STEP * -(-power // STEP), self._groups * BINS)  # few sizes, each a program
+        found = zip(*jax.device_get(_filled(self._counts.bins, most)), occupied, strict=True)
+        return [RadiusHistogram(self._groups, bins[:size], counts[:size]) for bins, counts, size in found]
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _none(figures: int, groups: int) -> Counts:
+    return Counts(jnp.zeros((figures, groups * BINS), jnp.int64), jnp.zeros(len(Status), jnp.int64))
+
+
+@jax.jit
+def _occupied(bins: Int[Array, "figures bins"]) -> Int[Array, " figures"]:
+    return jnp.sum(bins > 0, axis=1)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _filled(
+    bins: Int[Array, "figures bins"], most: int
+) -> tuple[Int[Array, "figures most"], Int[Array, "figures most"]]:
+    """(numbers of the occupied bins in order, their counts) of each figure, padded to `most`."""
+    numbers = jax.vmap(lambda counts: jnp.nonzero(counts, size=most)[0])(bins)
+    return numbers, jnp.take_along_axis(bins, numbers, axis=1)
 
 
 @functools.partial(jax.jit, static_argnums=(4, 5, 6), donate_argnums=0)

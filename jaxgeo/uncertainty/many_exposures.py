@@ -17,7 +17,7 @@ from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
 from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
-from jaxgeo.uncertainty.map_cells import Request
+from jaxgeo.uncertainty.map_cells import Request, block_size
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
@@ -62,7 +62,7 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     if number == 1:
         assessed: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
     else:
-        size = min(request.block, by_device(AT_ONCE, request.block))
+        size = min(request.block, by_device(AT_ONCE, block_size(number, request.block)))
         parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
         assessed = concatenate([_assess_block(part, *options) for part in parts], number)
     nominals, found, radii = assessed

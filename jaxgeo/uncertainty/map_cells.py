@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._compile import batch_filter_jit, long_run_filter_jit
 from jaxgeo._locate import project
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
@@ -26,6 +27,7 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampling import Sampling
 
 BLOCK = 128  # fixes evaluated at once: about 100 MB
+BLOCK_ACCELERATOR = 1024  # the same on an accelerator: 0.5 GB
 SAME_GROUND = 0.1  # m: largest distance between a cell and the fix of its pixel
 
 linear_radii_of_block = jax.jit(linear_radii)
@@ -73,7 +75,9 @@ def check_level(probability: Any) -> Scalar:
 
 
 def check_block(block: Any) -> int:
-    """The number of fixes evaluated at once; raises `ValueError` unless it is 1 or more."""
+    """The number of fixes evaluated at once, by default that of the device; raises `ValueError` unless it is 1 or
+    more."""
+    block = by_device(BLOCK, BLOCK_ACCELERATOR) if block is None else block
     if not isinstance(block, Integral) or block < 1:
         raise ValueError(f"block must be a whole number, 1 or more; got {block!r}.")
     return int(block)
@@ -135,8 +139,10 @@ def select(tree: Any, here: np.ndarray) -> tuple[np.ndarray, Any]:
 
 
 def block_size(count: int, block: int) -> int:
-    """Size of the blocks for a number of cells: at most the next power of two."""
-    return min(block, 1 << (count - 1).bit_length())
+    """Size of the blocks for a number of cells: at most the next power of two, on an accelerator of eight, where a
+    program takes longer to compile and larger blocks hardly take longer to run."""
+    step = by_device(1, 3)
+    return min(block, 1 << step * -(-(count - 1).bit_length() // step))
 
 
 def _project_cell(lat: Scalar, lon: Scalar, context: MapContext) -> Cell:

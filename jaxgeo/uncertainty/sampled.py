@@ -303,7 +303,8 @@ class _Tally:
     def histograms(self, figures: Sequence[str]) -> dict[str, RadiusHistogram] | None:
         """Histograms of some figures so far; None if the radii are kept."""
         if self.on_device is not None:
-            return {figure: self.on_device.histogram(self.figures.index(figure)) for figure in figures}
+            found = dict(zip(self.figures, self.on_device.histograms(), strict=True))
+            return {figure: found[figure] for figure in figures}
         return None if self.counters is None else {figure: self.counters[figure].histogram() for figure in figures}
 
     def result(self, fix: Fix, centre: np.ndarray, confidence: float, origin: Origin) -> Sampled:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import Geodetic, Pose, Shot, Status, Trajectory
+from jaxgeo import Geodetic, Pose, Shot, Status, Trajectory, _accelerator
 from jaxgeo.earth import WGS84
 from jaxgeo.sensor import point_shot
 from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, Sampling, accuracy, accuracy_map, sources
+from jaxgeo.uncertainty.map_cells import block_size, check_block
 from tests.support import looks
 from tests.support.scenes import rough, small_dem
 
@@ -95,6 +96,16 @@ def test_pixels_have_the_figures_of_their_ground(level) -> None:
         np.testing.assert_allclose(getattr(pixels, name), getattr(level, name), rtol=1e-9)
     np.testing.assert_array_equal(pixels.fix.status, level.status)
     np.testing.assert_array_equal(np.isnan(pixels.fix.position.lat), ~np.asarray(level.has_fix))
+
+
+def test_blocks_of_an_accelerator_are_larger_and_of_few_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert (check_block(None), block_size(300, 512)) == (128, 512)
+    monkeypatch.setattr(_accelerator, "on_accelerator", lambda *_: True)
+    most, counts = check_block(None), np.arange(1, 3000)
+    sizes = np.array([block_size(int(count), most) for count in counts])
+    assert most == 1024
+    assert set(sizes.tolist()) == {1, 8, 64, 512, 1024}
+    assert np.all(sizes >= np.minimum(counts, most))
 
 
 @pytest.mark.slow

@@ -51,15 +51,27 @@ def test_counts_of_parts_are_those_of_the_host(groups: int) -> None:
         for counter, number in zip(counters, (0, 2), strict=True):
             counter.add(np.asarray(own.radii[number]), first)
     np.testing.assert_array_equal(counts.codes(), codes)
-    for number, counter in enumerate(counters):
-        found, expected = counts.histogram(number), counter.histogram()
+    for found, counter in zip(counts.histograms(), counters, strict=True):
+        expected = counter.histogram()
         np.testing.assert_array_equal(found.bins, expected.bins)
         np.testing.assert_array_equal(found.counts, expected.counts)
         assert found.interval(0.9, 0.95) == expected.interval(0.9, 0.95)
 
 
+@pytest.mark.parametrize("first, count", [(0, 1), (0, 192), (70, 20), (130, 62)])
+def test_what_goes_to_the_host_of_a_large_block_are_its_samples(first: int, count: int) -> None:
+    whole = drawn(3)
+    one = Drawn(whole.moments[:1], *jax.tree.map(lambda x: x[:CAPACITY], tuple(whole)[1:]))
+    ways = [one.of_samples(first, count, Size(CAPACITY, (Device(name),), True, BLOCK)) for name in ("cpu", "gpu")]
+    for of_cpu, of_gpu in zip(*map(jax.tree.leaves, ways), strict=True):
+        np.testing.assert_array_equal(of_gpu, of_cpu)
+    start = first % BLOCK
+    np.testing.assert_array_equal(ways[1].statuses, one.statuses[start : start + count])
+
+
 def test_sizes_follow_the_device_of_the_program(monkeypatch) -> None:
-    assert not on_accelerator()
+    with jax.default_device(jax.devices("cpu")[0]):
+        assert not on_accelerator()
     assert by_device(1, 2, [Device("gpu")]) == 2
     assert by_device(1, 2, [Device("cpu")]) == 1
     monkeypatch.setattr(_accelerator.jax, "default_backend", lambda: "gpu")
