@@ -55,7 +55,7 @@ def reason_of(error: Exception) -> str:
 
     if isinstance(error, WrongOption):
         options = [typed(name) for name in error.takes if name in READING]
-        takes = f"it takes {', '.join(options)}" if options else "it takes no reading options"
+        takes = f"it takes {', '.join(options)}" if options else "leave it out"
         return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
     return as_typed("\n".join(" ".join(line.split()) for line in str(error).splitlines())) or type(error).__name__
 
