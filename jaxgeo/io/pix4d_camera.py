@@ -51,8 +51,8 @@ def pix4d_camera(path: str | os.PathLike[str]) -> FrameCamera:
         raise TableError(f"{path}: a sensor of {side[0]:g} x {side[1]:g} mm with F {focal:g} mm is none of {width} x "
                          f"{height} pixels.")  # fmt: skip
     if not max(abs(x), abs(y)) / pitch <= MOST_PIXELS:
-        raise TableError(f"{path}: the principal point {x:g}, {y:g} mm is none of a sensor of {side[0]:g} x {side[1]:g} "
-                         f"mm.")  # fmt: skip
+        raise TableError(f"{path}: the principal point {x:g}, {y:g} mm is none of a sensor of {side[0]:g} x "
+                         f"{side[1]:g} mm.")  # fmt: skip
     return frame_camera_of(
         (width, height), (focal / pitch, focal / pitch), (x / pitch, y / pitch), (k1, k2, k3), (t1, t2)
     )

@@ -1,4 +1,4 @@
-"""Readers of exports of photogrammetry programs, logs of autopilots and flight apps, and single bands: for `readers`."""
+"""Readers of exports of photogrammetry programs, logs of autopilots and apps, and single bands: for `readers`."""
 
 from __future__ import annotations
 

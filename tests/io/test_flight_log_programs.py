@@ -191,7 +191,7 @@ REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     "unit": (litchi().replace("altitude(m)", "altitude(rods)"), {"takeoff_height": 0.0}, "must be feet or meters"),
     "no yaw": (litchi().replace("gimbalYawRaw", "x"), {"takeoff_height": 0.0}, "no column gimbalyawraw"),
     "cut": (litchi() + "36.3,-84.2,30", {"takeoff_height": 0.0}, "row 3: 3 cells.*; the file ends within the row"),
-    "two logs": (litchi() + litchi(), {"takeoff_height": 0.0}, "row 3: the header again; it is several tables"),
+    "two logs": (litchi() + litchi(), {"takeoff_height": 0.0}, "row 3: the header again: the file is several tables"),
     "minus": (
         litchi({"longitude": "\u221284.2"}),
         {"takeoff_height": 0.0},

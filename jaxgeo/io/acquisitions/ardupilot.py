@@ -134,11 +134,9 @@ def _messages(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
         reason = str(error).strip() or type(error).__name__
         raise TableError(f"{path}: damaged, or no log of ArduPilot: {' '.join(reason.split())[:200]}.") from error
     damages = [CUT] if is_cut else []
-    lines = list(
-        dict.fromkeys(" ".join(line.split())[:120] for line in printed.getvalue().splitlines() if line.strip())
-    )
-    if lines:
-        damages.insert(0, f"Parts of the log are damaged and left out (the first: {lines[0]}).")
+    first = next((" ".join(line.split())[:120] for line in printed.getvalue().splitlines() if line.strip()), "")
+    if first:
+        damages.insert(0, f"Parts of the log are damaged and left out (the first: {first}).")
     return found["CAM"], found["MNT"], len(found["TRIG"]), damages
 
 

@@ -180,7 +180,8 @@ def dataflash_text(path: pathlib.Path, found: Any) -> None:
     """Every photo is a line CAM, by the columns of a line FMT."""
     stated: dict[str, list[dict[str, float]]] = {"CAM": [], "MNT": []}
     columns: dict[str, list[list[str]]] = {"CAM": [], "MNT": []}
-    lines = [line.split(", ") for line in re.split(r"\r\n|\r|\n", decoded(path.read_bytes()))]
+    text = decoded(path.read_bytes())
+    lines = [line.split(", ") for line in text.split("\n" if "\n" in text else "\r")]
     for words in lines:
         if words[0] == "FMT" and len(words) > 5 and words[3] in columns:
             columns[words[3]].append([name.strip() for word in words[5:] for name in word.split(",")])
@@ -252,11 +253,8 @@ def px4(path: pathlib.Path, found: Any) -> None:
         matches = [row for row in rows if abs(row[0] - lat) < DEGREES and abs(row[1] - lon) < DEGREES]
         height = found.shots.pose.position.height[k]
         assert any(values[3] == height for values in matches), f"photo at {lat}, {lon}, {height}: not in the file"
-        R = [
-            Rotation.from_quat([*values[6:9], values[5]]).as_matrix()
-            for values in matches
-            if np.linalg.norm(values[5:9]) > 0.5
-        ]
+        turns = [values[5:9] for values in matches if np.linalg.norm(values[5:9]) > 0.5]
+        R = [Rotation.from_quat([x, y, z, w]).as_matrix() for w, x, y, z in turns]
         own = _attitude(found, k)
         assert any(np.abs(own - one @ (AHEAD if found.of_camera else _BELOW)).max() < 1e-5 for one in R), "attitude"
 
