@@ -56,7 +56,8 @@ def reason_of(error: Exception) -> str:
     if isinstance(error, WrongOption):
         options = [typed(name) for name in error.takes if name in READING]
         takes = f"it takes {', '.join(options)}" if options else "leave it out"
-        return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
+        remedy = "" if error.name != "camera" else " Its camera is that of --scene SCENE.toml."
+        return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}.{remedy}"
     return as_typed("\n".join(" ".join(line.split()) for line in str(error).splitlines())) or type(error).__name__
 
 
