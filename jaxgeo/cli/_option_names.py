@@ -14,11 +14,11 @@ from jaxgeo.cli._common import UserError
 # Options of `read_observations` whose command-line name differs by more than dashes.
 OTHER_NAMES = {"height_datum": "camera-datum", "vertical_datum": "dem-datum", "crs": "source-crs",
                "gimbal_deg": "gimbal", "velocities": "no-velocities", "exposures": "exposure",
-               "pixels": "pixel", "times": "time"}  # fmt: skip
+               "pixels": "pixel", "times": "time", "part": "reconstruction"}  # fmt: skip
 # Reader options available on the command line; the others are Python only.
 READING = (
     "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "velocities", "crs", "camera",
-    "gimbal_deg", "positions", "errors", "interior", "times",
+    "gimbal_deg", "positions", "errors", "interior", "times", "part",
 )  # fmt: skip
 OBSERVED = ("scene", "shots", "exposures", "pixels")  # other options of `read_observations`
 # Reader options whose value is a flag on the command line.

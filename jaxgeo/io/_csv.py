@@ -123,7 +123,7 @@ def read_csv(
     if not layout.cells:
         raise TableError(f"{path}: no rows below the header.")
     for line, row in zip(layout.lines, layout.cells, strict=True):
-        if row == header:
+        if [cell.strip() for cell in row] == [name.strip() for name in header]:
             raise TableError(f"{path}, row {line}: the header again: the file is several tables; give each alone.")
         if len(row) != len(header):
             is_cut = line == layout.lines[-1] and len(row) < len(header) and not text.endswith(("\n", "\r"))

@@ -155,6 +155,14 @@ def test_what_is_whole_of_a_log_is_read_and_the_rest_told(tmp_path: pathlib.Path
     assert words in "".join(damages)
 
 
+def test_damage_of_a_log_of_px4_is_told(tmp_path: pathlib.Path) -> None:
+    content = ulog([quaternion(BODY)] * 6)
+    last = content.rindex(b"D\x03\x00") - 2  # where the last photo begins
+    found = read_acquisition(written(tmp_path, "a.ulg", content[:last] + bytes(9) + content[last:]), height_datum=0.0)
+    assert len(found) < 6
+    assert any("Parts of the log are damaged" in one for one in found.assumed)
+
+
 REFUSED = {
     "no length.bin": (dataflash([AT]).replace(b"\xa3\x95\x80\xa0\x34", b"\xa3\x95\x80\xa0\x00"), "'CAM' of 0 bytes"),
     "text.bin": (dataflash([AT]).replace(b"eeefff", b"eeeffn"), "Y of a message CAM is .*, not a number"),

@@ -180,7 +180,8 @@ def _offset(path: pathlib.Path) -> tuple[np.ndarray, str]:
         )
     found = numbers_in(words_of(read_text(place, "offset of Pix4D").replace(",", " ")))
     if found is None or len(found) != 3:
-        raise TableError(f"{place}: expected three numbers, the offset of the project in m.")
+        got = shown(read_text(place, "offset of Pix4D").strip()[:60])
+        raise TableError(f"{place}: expected three numbers, the offset of the project in m; got {got}.")
     return np.array(found), MOVED.format(name=place.name, x=found[0], y=found[1], z=found[2])
 
 
