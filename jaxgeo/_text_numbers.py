@@ -15,6 +15,8 @@ from typing import Any
 BLANKS = " \t\r\n\f\v"  # white space allowed around or between numbers
 MOST_DIGITS = 400  # of a number: a float64 in full has at most 310 before its decimal point
 
+MINUSES = "\u2010\u2011\u2012\u2013\u2212"  # hyphens, dashes and minus that are no ASCII hyphen
+
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 
@@ -31,6 +33,22 @@ def number_in(text: str) -> float | None:
         return None
     value = float(bare)
     return value if math.isfinite(value) else None
+
+
+def no_number(text: str) -> str:
+    """The words for a text that is not a number, with the character that is not ASCII if only that is the reason.
+
+    >>> from jaxgeo._text_numbers import no_number
+    >>> print(no_number("12;5"))
+    '12;5' is not a number
+    >>> print(no_number(chr(0x2212) + "84.2").encode("ascii", "backslashreplace").decode())
+    '\\u221284.2' is not a number: its sign is the character U+2212; write -
+    """
+    said = f"{text[:60]!r} is not a number"
+    sign = next((mark for mark in text if mark in MINUSES), None)
+    if sign is None or number_in(text.translate(dict.fromkeys(map(ord, MINUSES), "-"))) is None:
+        return said
+    return f"{said}: its sign is the character U+{ord(sign):04X}; write -"
 
 
 def whole_in(text: str) -> int | None:

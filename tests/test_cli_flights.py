@@ -53,9 +53,10 @@ def test_exposures_of_a_file_are_the_flight_of_their_navigation(tmp_path: pathli
     "seconds, yaws, words",
     [
         (("31.000", "31.000", "31.000"), (0, 0, 0), "fewer than two exposures at different times"),
+        (("x", "x", "x"), (0, 0, 0), "its exposures have no times"),
         (("31.000", "32.000", "33.000"), (0, 1700, 0), "exposures? [01] to [12]|exposure 1"),
     ],
-    ids=["one time", "turn"],
+    ids=["one time", "no times", "turn"],
 )
 def test_what_is_no_flight_is_refused(
     tmp_path: pathlib.Path, seconds: tuple[str, ...], yaws: tuple[int, ...], words: str

@@ -159,24 +159,27 @@ READING = (
 )
 FILE = (
     "--takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged --stream 1 "
-    "--errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --time 1 --exposure a"
+    "--errors e --no-velocities --interior i --reconstruction 1 --gimbal 1,2,3 --positions p --time 1 --exposure a"
 )
 MANY = "locate DJI_0042.JPG --camera-datum ellipsoid --ground 300 --cluster local:1 --resume -o fixes"
 MANY_MORE = [
     "rectify images --camera-datum ellipsoid --dem dem.tif --cluster local:1 --resume -o orthos",
     "rectify reconstruction.json --images images --camera-datum ellipsoid --dem dem.tif -o orthos",
     "rectify FILE --dem dem.tif --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
-    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --time 1 "
+    "--keep-damaged --stream 1 --errors e --no-velocities --interior i "
+    "--reconstruction 1 --gimbal 1,2,3 --positions p --time 1 "
     "-o out.tif",
     "report images --camera-datum ellipsoid --ground 300 --cluster local:1 -o out.html",
     "accuracy-map images --camera-datum ellipsoid --dem dem.tif --cluster local:1 --resume --exposure a -o maps",
     "accuracy-map FILE --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright "
-    "--keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p --time 1 "
+    "--keep-damaged --stream 1 --errors e --no-velocities --interior i "
+    "--reconstruction 1 --gimbal 1,2,3 --positions p --time 1 "
     "-o out.tif",
     f"accuracy-map {SCENE} {READING} -o out.tif",
     f"validate {SCENE} --points points.csv --points-datum ellipsoid --pixel-origin corner {READING} -o out.png",
     "validate FILE --points p --ground 300 --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 "
-    "--upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --positions p "
+    "--upright --keep-damaged --stream 1 --errors e --no-velocities --interior i "
+    "--reconstruction 1 --gimbal 1,2,3 --positions p "
     "--time 1",
     f"validate {SCENE} --points p --refraction --position-sigma 1 --attitude-sigma 1 --gimbal-sigma 0.2 --focal-sigma "
     "3px --principal-sigma 2px --dem-sigma 4 --dem-correlation 400 --dem-datum EPSG:5773 --calibrate e.toml "
@@ -210,7 +213,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "dem 36.3,-84.2 --radius 100 --archive srtm --mirror https://host --proxy http://host:1 --offline -o out.tif",
     "dem --bounds -85,36,-84,37 --archive https://host/{S}{W}.tif --dem-datum EPSG:5773",
     "dem --for FILE --scene s --camera-datum EPSG:5773 --takeoff-height 8 --source-crs EPSG:32616 --camera a "
-    "--image-size 64,48 --upright --keep-damaged --stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 "
+    "--image-size 64,48 --upright --keep-damaged --stream 1 --errors e --no-velocities --interior i "
+    "--reconstruction 1 --gimbal 1,2,3 "
     "--positions p --time 1",
     "dem --geoid EPSG:3855 --clear-cache",
     "locate images --detections found.csv --pixel-origin corner --anchor bottom",
@@ -226,13 +230,14 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "inspect flight.klv -o track.gpx",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
+    "inspect reconstruction.json --reconstruction 1",
     "inspect images --positions geo.txt",
     "locate images --positions geo.txt",
     "report images --positions geo.txt -o out.html",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --time 1",
+    "--stream 1 --errors e --no-velocities --interior i --reconstruction 1 --gimbal 1,2,3 --time 1",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 --time 1 -o out.html",
+    "--stream 1 --errors e --no-velocities --interior i --reconstruction 1 --gimbal 1,2,3 --time 1 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "doctor --json --debug",
     "demo -o picture.png --write-scene scene.toml --json --debug",

@@ -130,6 +130,23 @@ def test_the_version_has_one_place(pyproject: dict[str, Any]) -> None:
         assert not re.search(r"^__version__\s*=", path.read_text(encoding="utf-8"), re.MULTILINE), path
 
 
+def test_the_citation_is_of_this_version(pyproject: dict[str, Any]) -> None:
+    cited = dict(re.findall(r"^([\w-]+): (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE))
+    project = pyproject["project"]
+    assert [cited[name] for name in ("title", "version", "license")] == [
+        project[name] for name in ("name", "version", "license")
+    ]
+    assert f"## [{project['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_container_has_extras_and_files_that_exist(pyproject: dict[str, Any]) -> None:
+    text = (ROOT / "Containerfile").read_text(encoding="utf-8")
+    (extras,) = re.findall(r"\.whl\)\[([\w,]+)\]", text)
+    assert set(extras.split(",")) <= set(pyproject["project"]["optional-dependencies"])
+    copied = [name for line in re.findall(r"^COPY (.+) /source", text, re.MULTILINE) for name in line.split()]
+    assert all((ROOT / name).exists() for name in copied)
+
+
 def test_every_licence_and_datum_is_described() -> None:
     data = ROOT / "jaxgeo" / "data"
     told = (data / "LICENSES.md").read_text(encoding="utf-8")

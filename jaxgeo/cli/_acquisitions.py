@@ -94,6 +94,15 @@ class ReadingOptions(OptionGroup):
         pathlib.Path | None,
         typer.Option("--interior", metavar="FILE", help="Orthority: interior parameter file (.yaml)."),
     ] = None
+    part: Annotated[
+        int | None,
+        typer.Option(
+            "--reconstruction",
+            metavar="NUMBER",
+            min=0,
+            help="OpenSfM: which of several reconstructions in a file, from 0.",
+        ),
+    ] = None
     positions: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -117,7 +126,7 @@ class ReadingOptions(OptionGroup):
     @property
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `read_acquisitions`. Raises `UserError`."""
-        names = ("takeoff_height", "crs", "camera", "errors", "interior", "positions")
+        names = ("takeoff_height", "crs", "camera", "errors", "interior", "part", "positions")
         how: dict[str, Any] = {name: getattr(self, name) for name in names}
         how |= {"times": self.times or None}
         how |= {"velocities": False if self.no_velocities else None}

@@ -15,7 +15,8 @@ from jaxgeo.cli._options import OptionGroup
 from jaxgeo.cli._screen import is_quiet, print_message, print_note, stderr
 
 MOST_TOLD = 5  # failed parts that are printed
-FILES = (".tif", ".tiff", ".vrt", ".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz", ".json")  # no folders
+# Endings of files; other outputs are folders.
+FILES = (".tif", ".tiff", ".vrt", ".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz", ".gpx", ".json")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -85,6 +85,8 @@ def flight_of(observed: Observations) -> Flight:
             raise UserError(f"{observed.source}: its camera changes (another focal length); a flight has one.")
         sensor = jax.tree.map(lambda leaf: np.asarray(leaf)[0], sensor)
     times, rows = np.unique(np.asarray(batch.shots.time), return_index=True)
+    if len(times) < 2 and not times.any():
+        raise UserError(f"{observed.source}: its exposures have no times; a flight needs two or more.")
     if len(times) < 2:
         raise UserError(f"{observed.source}: fewer than two exposures at different times; a flight needs more.")
     poses, readings = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], (batch.shots.pose, batch.shots.gimbal_readings))

@@ -14,11 +14,11 @@ from jaxgeo.cli._common import UserError
 # Options of `read_observations` whose command-line name differs by more than dashes.
 OTHER_NAMES = {"height_datum": "camera-datum", "vertical_datum": "dem-datum", "crs": "source-crs",
                "gimbal_deg": "gimbal", "velocities": "no-velocities", "exposures": "exposure",
-               "pixels": "pixel", "times": "time"}  # fmt: skip
+               "pixels": "pixel", "times": "time", "part": "reconstruction"}  # fmt: skip
 # Reader options available on the command line; the others are Python only.
 READING = (
     "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "velocities", "crs", "camera",
-    "gimbal_deg", "positions", "errors", "interior", "times",
+    "gimbal_deg", "positions", "errors", "interior", "times", "part",
 )  # fmt: skip
 OBSERVED = ("scene", "shots", "exposures", "pixels")  # other options of `read_observations`
 # Reader options whose value is a flag on the command line.
@@ -55,8 +55,9 @@ def reason_of(error: Exception) -> str:
 
     if isinstance(error, WrongOption):
         options = [typed(name) for name in error.takes if name in READING]
-        takes = f"it takes {', '.join(options)}" if options else "it takes no reading options"
-        return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
+        takes = f"it takes {', '.join(options)}" if options else "leave it out"
+        remedy = "" if error.name != "camera" else " Its camera is that of --scene SCENE.toml."
+        return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}.{remedy}"
     return as_typed("\n".join(" ".join(line.split()) for line in str(error).splitlines())) or type(error).__name__
 
 

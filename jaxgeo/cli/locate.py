@@ -31,7 +31,7 @@ from jaxgeo.cli._screen import print_counts, print_message
 from jaxgeo.status import Status, counts_as_fix
 
 STYLED = (".gpkg", ".geojson", ".json")
-ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
+ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz", ".gpx")
 Row = dict[str, Any]
 
 

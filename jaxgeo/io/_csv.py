@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgeo._text_numbers import BLANKS, number_in
+from jaxgeo._text_numbers import BLANKS, no_number, number_in
 from jaxgeo.io._dialect import layout_of
 from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError
@@ -33,6 +33,9 @@ POSE_COLUMNS: dict[str, Limits] = {
 # Markers of unknown values: words, and numbers that no column of this package can hold.
 UNKNOWN_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "nil", "unknown", "-", "--", "?"})
 UNKNOWN_NUMBERS = frozenset({-9999.0, -99999.0, -999999.0, -32767.0, -32768.0})
+
+
+CUT = "; the file ends within the row: copy or export it again, or delete the row"
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ class CsvTable:
                     " Decimals are read with commas if all of the file have them, and semicolons or tabs stand between "
                     "columns."
                 )
-            raise self.wrong(row, name, f"{cell[:60]!r} is not a number; {hint}")
+            raise self.wrong(row, name, f"{no_number(cell)}; {hint}")
         return np.nan if value in UNKNOWN_NUMBERS else value
 
     def wrong(self, index: int, name: str, reason: str) -> TableError:
@@ -113,16 +116,20 @@ def read_csv(
     required columns, `taken` forbidden ones. `hints` are remedies for some missing columns;
     `known` are further names for recognising a header. Raises `TableError`, and `FileNotFoundError`.
     """
-    layout = layout_of(path, read_text(path, what), {name.lower() for name in (*needed, *known)})
+    text = read_text(path, what)
+    layout = layout_of(path, text, {name.lower() for name in (*needed, *known)})
     header = layout.header
     _check_header(path, header, needed, taken, hints or {})
     if not layout.cells:
         raise TableError(f"{path}: no rows below the header.")
     for line, row in zip(layout.lines, layout.cells, strict=True):
+        if [cell.strip() for cell in row] == [name.strip() for name in header]:
+            raise TableError(f"{path}, row {line}: the header again: the file is several tables; give each alone.")
         if len(row) != len(header):
+            is_cut = line == layout.lines[-1] and len(row) < len(header) and not text.endswith(("\n", "\r"))
             raise TableError(
                 f"{path}, row {line}: {len(row)} {'words' if layout.separator == ' ' else 'cells'}, but the header has "
-                f"{len(header)}{_why_longer(layout.separator, len(row) > len(header))}."
+                f"{len(header)}{CUT if is_cut else _why_longer(layout.separator, len(row) > len(header))}."
             )
     return CsvTable(path, header, layout.lines, layout.cells, tuple(layout.comments))
 

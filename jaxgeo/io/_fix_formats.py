@@ -1,4 +1,4 @@
-"""Encoders of fix files: CSV, GeoJSON, GeoPackage, GeoParquet, KML and KMZ."""
+"""Encoders of fix files: CSV, GeoJSON, GeoPackage, GeoParquet, KML, KMZ and GPX."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._features import DECIMALS, Feature
 from jaxgeo.io._fix_columns import FIX_DECIMALS
 from jaxgeo.io._geoparquet import GeometryColumn, geoparquet
+from jaxgeo.io._gpx import TrackPoint, as_bytes, gpx
 from jaxgeo.io._kml import Placemark, kml, kmz
 from jaxgeo.io._layers import Layer, geopackage
 from jaxgeo.io._map_crs import MapCRS, code_of
@@ -206,6 +207,20 @@ def _kmz(table: FixTable) -> bytes:
     return kmz(_kml(table))
 
 
+def _gpx(table: FixTable) -> bytes:
+    """One track of the fixes with coordinates, in their order, with times where they are in UTC."""
+    points = [
+        TrackPoint(f"{row.get('name') or f'fix {i}'}", *place.tolist(), time=when(row))
+        for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True))
+        if np.isfinite(place).all()
+    ]
+    about = "Fixes on the ground on WGS 84, heights above mean sea level (EGM96)."
+    try:
+        return as_bytes(gpx(about, [("Fixes", points)]))
+    except ValueError as error:
+        raise ValueError(f"{table.name}: {error}") from error
+
+
 WRITERS: dict[str, Callable[[FixTable], bytes]] = {
     ".csv": _csv,
     ".geojson": _geojson,
@@ -214,6 +229,7 @@ WRITERS: dict[str, Callable[[FixTable], bytes]] = {
     ".parquet": as_parquet,
     ".kml": _kml,
     ".kmz": _kmz,
+    ".gpx": _gpx,
 }
 STYLED = (".gpkg", ".geojson", ".json")
-KML_WRITERS = (_kml, _kmz)  # with a fixed CRS
+FIXED_CRS = (_kml, _kmz, _gpx)  # longitude and latitude on WGS 84, heights above EGM96

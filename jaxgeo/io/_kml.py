@@ -150,5 +150,5 @@ def checked_text(text: str) -> str:
     """The text. Raises `ValueError` for a character that XML cannot hold."""
     wrong = NO_XML.search(text)
     if wrong is not None:
-        raise ValueError(f"KML cannot hold the character {wrong.group()!r} of the text {text[:60]!r}; take it out.")
+        raise ValueError(f"XML cannot hold the character {wrong.group()!r} of the text {text[:60]!r}; take it out.")
     return text

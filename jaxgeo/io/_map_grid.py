@@ -89,7 +89,7 @@ def understood_crs(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]
         raise TableError(f"{where}: crs = {crs!r} is unknown to PROJ; expected for example 'EPSG:32617'.") from error
     horizontal = horizontal_part(whole)
     if not (horizontal.is_projected or horizontal.is_geographic):
-        raise TableError(f"{where}: crs = {crs!r} ({whole.name}) is no map; expected a projected CRS.")
+        raise TableError(f"{where}: crs = {_stated(crs, whole)} is no map; expected a projected CRS.")
     return horizontal, vertical_part(whole, unnamed=True)
 
 
@@ -97,12 +97,18 @@ def metric_map(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]:
     """As `understood_crs`, for a map in metres; raises `TableError` for anything else."""
     horizontal, vertical = understood_crs(where, crs)
     if not horizontal.is_projected:
-        raise TableError(f"{where}: crs = {crs!r} ({horizontal.name}) is no map; expected a projected CRS.")
+        raise TableError(f"{where}: crs = {_stated(crs, horizontal)} is no map; expected a projected CRS.")
     axes = [*horizontal.axis_info, *([] if vertical is None else vertical.axis_info[-1:])]
     units = {axis.unit_name: None for axis in axes if axis.unit_conversion_factor != 1.0}
     if units:
-        raise TableError(f"{where}: crs = {crs!r} is in {', '.join(units)}, but the columns are in metres.")
+        raise TableError(f"{where}: crs = {_stated(crs, horizontal)} is in {', '.join(units)}, but the columns are in "
+                         f"metres.")  # fmt: skip
     return horizontal, vertical
+
+
+def _stated(crs: Any, known: pyproj.CRS) -> str:
+    """A CRS as the caller wrote it, with its name; an object, such as one read from a file, by its name."""
+    return repr(known.name) if isinstance(crs, pyproj.CRS) else f"{crs!r} ({known.name})"
 
 
 def _finite(x: np.ndarray, y: np.ndarray) -> Pair:

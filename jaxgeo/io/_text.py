@@ -31,7 +31,7 @@ def read_text(path: str | os.PathLike[str], what: str) -> str:
         raise TableError(f"{path}: the {what} is empty.")
     text = text_of(content)
     if text is None:
-        raise TableError(f"{path}: not a text file, so not a {what}.")
+        raise TableError(f"{path}: not a text file, so no {what}.")
     return text
 
 

@@ -69,7 +69,9 @@ def observations_of_detections(
         corners, refusal = np.zeros((0, 2)), None
         if place is None:
             several = f"{len(found)} exposures have this name; name the folder too"
-            reason = several if found else "no exposure has this name"
+            known = ", ".join(str(column.get("name", row)) for row, column in enumerate(observed.columns[:3]))
+            more = ", ..." if len(observed.columns) > 3 else ""
+            reason = several if found else f"no exposure has this name; known: {known}{more}"
             refusal = _refused(f"{one.image}: {reason}.")
         else:
             camera = frame_camera_of(observed.batches[place[0]].sensor)
@@ -196,5 +198,5 @@ def _rows_named(image: str, rows_of: dict[str, list[tuple[tuple[str, ...], int]]
     """Rows of exposures whose file has a name, in the folders that are named with it."""
     path = pathlib.PurePosixPath(image.replace("\\", "/"))
     folders = path.parent.parts
-    same = rows_of.get(path.name, [])
+    same = rows_of.get(path.name) or rows_of.get(path.stem, [])  # a reconstruction may name images without extension
     return [row for own, row in same if not folders or own[-len(folders) :] == folders]

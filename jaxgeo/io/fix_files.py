@@ -18,7 +18,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_figures, rows_of
-from jaxgeo.io._fix_formats import KML_WRITERS, PLACE, STYLED, WGS84, WRITERS, FixTable
+from jaxgeo.io._fix_formats import FIXED_CRS, PLACE, STYLED, WGS84, WRITERS, FixTable
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.io._outlines import outline
@@ -48,7 +48,7 @@ def write_fixes(
     rings: Sequence[np.ndarray | None] | None = None,
     style: bool = False,
 ) -> None:
-    """Write fixes and their accuracy to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
+    """Write fixes and their accuracy to .csv, .geojson or .json, .gpkg, .parquet, .kml, .kmz or .gpx.
 
     `fixes` is one fix or a batch of n. Fixes without coordinates are written too, without geometry, with their status.
     Columns are those of `jaxgeo.io.tables.FIX_COLUMNS` (on WGS 84, heights above its ellipsoid and above EGM96), and:
@@ -63,8 +63,8 @@ def write_fixes(
     - `crs`: anything pyproj takes. `heights`: "ellipsoid", or a vertical CRS such as "EPSG:5773" (EGM96), "EPSG:3855"
       (EGM2008); by default those of the CRS, and for a 2D one above the ellipsoid. The file names both; tables in the
       columns `crs` and `vertical_datum` beside `map_x`, `map_y`, `map_z`. GeoJSON in another CRS than
-      EPSG:4979 names it with the pre-RFC 7946 member, which not every reader supports. KML is always in WGS 84 with
-      heights above EGM96.
+      EPSG:4979 names it with the pre-RFC 7946 member, which not every reader supports. KML and GPX are always in WGS 84
+      with heights above EGM96; GPX has one track of the fixes with coordinates, with their times.
     - `attributes`: for each fix numbers, texts, bools or None by name, the same names for all. KML shows `name`.
     - `ellipses`: also the outline on the ground that contains the true point with the probability, of kind "ellipse",
       or "circle" if only a radius is known; none if it has no area. Outlines are in the horizontal CRS, in a layer
@@ -143,12 +143,12 @@ def check_fix_file(
     fixes = Fix(position, np.full((count, 3), np.nan), nothing, nothing, nothing, nothing, status)
     figures = None if probability is None else no_figures(count, probability)
     table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
-    one = slice(None) if write in KML_WRITERS else slice(1)  # any row may have text that KML cannot hold
+    one = slice(None) if write in FIXED_CRS else slice(1)  # any row may have text that XML cannot hold
     write(table._replace(rows=table.rows[one], places=table.places[one], outlines=table.outlines[one]))
 
 
 def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic) -> MapCRS:
-    chart_of = _kml_crs if _writer(target) in KML_WRITERS else map_crs
+    chart_of = _fixed_crs if _writer(target) in FIXED_CRS else map_crs
     lat, lon, _ = degrees_of(near)
     return chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
@@ -198,14 +198,15 @@ def _extent(lon: np.ndarray, lat: np.ndarray) -> tuple[float, float, float, floa
     return float(west), float(lat.min()), float(east), float(lat.max())
 
 
-def _kml_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
-    """KML's fixed CRS; raises for any other."""
+def _fixed_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
+    """The fixed CRS of KML and GPX; raises for any other."""
     own, asked = map_crs(name, "EPSG:4326", EGM96, area), map_crs(name, crs, heights, area)
     is_left_out = heights is None and code_of(asked.crs) in WGS84
     if not is_left_out and asked.crs != own.crs:
+        kind = name[-3:].upper()
         raise ValueError(
-            f"{name}: KML has longitudes and latitudes on WGS 84 and heights above EGM96, and no others; leave crs and "
-            f"heights out, or write a .gpkg."
+            f"{name}: {kind} has longitudes and latitudes on WGS 84 and heights above EGM96, and no others; "
+            f"leave crs and heights out, or write a .gpkg."
         )
     return own
 

@@ -18,6 +18,7 @@ START = re.compile(r"Pix4D camera calibration file\s+\S+", re.IGNORECASE)
 SENSOR = re.compile(r"#\s*Focal Length.* sensor width of\s+([0-9.]+)\s*x\s*([0-9.]+)\s*mm", re.IGNORECASE)
 SIZE = re.compile(r"#\s*Image size\s+([0-9]{1,7})\s*x\s*([0-9]{1,7})\s*pixel", re.IGNORECASE)
 KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
+MOST_PIXELS = 10_000_000  # largest focal length and distance of the principal point
 SQUARE = 0.01  # relative tolerance between the pixel pitches of columns and rows
 
 
@@ -46,9 +47,12 @@ def pix4d_camera(path: str | os.PathLike[str]) -> FrameCamera:
     focal, x, y, k1, k2, k3, t1, t2 = (found[key] or 0.0 for key in KEYS)
     width, height = _size(pathlib.Path(path))
     pitch = side[0] / width
-    if abs(side[1] / height / pitch - 1.0) > SQUARE or focal <= 0.0:
+    if abs(side[1] / height / pitch - 1.0) > SQUARE or not 0.0 < focal / pitch <= MOST_PIXELS:
         raise TableError(f"{path}: a sensor of {side[0]:g} x {side[1]:g} mm with F {focal:g} mm is none of {width} x "
                          f"{height} pixels.")  # fmt: skip
+    if not max(abs(x), abs(y)) / pitch <= MOST_PIXELS:
+        raise TableError(f"{path}: the principal point {x:g}, {y:g} mm is none of a sensor of {side[0]:g} x "
+                         f"{side[1]:g} mm.")  # fmt: skip
     return frame_camera_of(
         (width, height), (focal / pitch, focal / pitch), (x / pitch, y / pitch), (k1, k2, k3), (t1, t2)
     )

@@ -12,12 +12,12 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo.io._gpx import TrackPoint, as_bytes, gpx
 from jaxgeo.io._kml import NAMESPACE, checked_text
 from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet
 from jaxgeo.io.geoid import degrees_of, height_msl
 
-GPX = "http://www.topografix.com/GPX/1/1"
 EXTENDED = "http://www.google.com/kml/ext/2.2"  # of KML, for tracks with times
 ABOUT = "Positions of the platform on WGS 84, heights above mean sea level (EGM96)."
 
@@ -46,8 +46,7 @@ def write_track(path: str | os.PathLike[str], found: Acquisition | AcquisitionSe
     parts = found.parts if isinstance(found, AcquisitionSet) else (found,)
     with destination("path", target, binary=True) as stream:
         root = write([_track(one) for one in parts])
-        ET.indent(root, " ")
-        stream.write(ET.tostring(root, encoding="UTF-8", xml_declaration=True))
+        stream.write(as_bytes(root))
 
 
 def writer_of(target: pathlib.Path) -> Callable[[list[_Track]], ET.Element]:
@@ -69,19 +68,12 @@ def _track(found: Acquisition) -> _Track:
 
 
 def _gpx(tracks: list[_Track]) -> ET.Element:
-    root = ET.Element("gpx", xmlns=GPX, version="1.1", creator="jaxgeo")
-    _text(ET.SubElement(root, "metadata"), "desc", ABOUT)
-    for track in tracks:
-        element = ET.SubElement(root, "trk")
-        _text(element, "name", track.name)
-        segment = ET.SubElement(element, "trkseg")
-        for name, (lon, lat, height), time in zip(track.names, track.places.tolist(), track.times, strict=True):
-            point = ET.SubElement(segment, "trkpt", lat=f"{lat:.10f}", lon=f"{lon:.10f}")
-            _text(point, "ele", f"{height:.4f}")
-            if time is not None:
-                _text(point, "time", time)
-            _text(point, "name", name)
-    return root
+    return gpx(ABOUT, [(track.name, _points(track)) for track in tracks])
+
+
+def _points(track: _Track) -> list[TrackPoint]:
+    rows = zip(track.names, track.places.tolist(), track.times, strict=True)
+    return [TrackPoint(name, lon, lat, height, time) for name, (lon, lat, height), time in rows]
 
 
 def _kml(tracks: list[_Track]) -> ET.Element:

@@ -228,6 +228,8 @@ def explain_method(diagnostics: Diagnostics, method: Method) -> str:
 def _against_profile(name: str, *figures: Any) -> str:
     """By how much a figure over facet and footprint differs from that over the terrain profile."""
     *others, profile = map(float, figures)
+    if not math.isfinite(profile):
+        return f"{name} is unknown over the terrain profile"
     ratios = [one / profile if profile > 0.0 else math.nan for one in others]
     if all(abs(ratio - 1.0) < SAME for ratio in ratios):
         return f"{name} is the same over facet, footprint and terrain profile"
@@ -252,7 +254,7 @@ def _obstacle(diagnostics: Diagnostics, fails: float, jumps: float) -> str | Non
         where = f"{figure(off)} m from the fix" if math.isfinite(off) else "nowhere near the fix"
         return f"The terrain surface sampled from above lies {where}, so the ground at the fix is unknown"
     if fails + jumps > 100.0 * FEW and fails >= jumps:
-        return f"{figure(fails, 2)} % of the perturbed lines of sight meet no known ground"
+        return f"{figure(fails, 2)} % of the perturbed lines of sight look behind the nadir, or meet no known ground"
     if fails + jumps > 100.0 * FEW:
         clearance = float(diagnostics.clearance)
         other = f"hit a nearer or farther slope (first at {figure(clearance, 2)} sigma)"

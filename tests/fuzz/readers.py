@@ -30,6 +30,7 @@ from jaxgeo.io.acquisitions import read_orthority_cameras, read_sbet
 from jaxgeo.io.acquisitions._position_tables import read_positions
 from jaxgeo.io.scene import SceneError, read_camera, read_scene
 from jaxgeo.io.tables import read_shots
+from tests.fuzz.programs import PROGRAMS as OF_PROGRAMS
 from tests.fuzz.reading import Reader
 from tests.fuzz.second import any_kind, binary, drone_images, rasters, structured, tables
 from tests.fuzz.sound_exports import AIRDATA, GERMAN, METASHAPE, POSITIONS, PROGRAMS, SUBTITLES
@@ -430,6 +431,7 @@ READERS: tuple[Reader, ...] = (
         second=tables.bal,
         tests="bal",
     ),
+    *OF_PROGRAMS,
     Reader(
         "any exposures",
         ".dat",

@@ -132,12 +132,45 @@ def test_a_gimbal_straight_down_keeps_its_heading(tmp_path: pathlib.Path) -> Non
     np.testing.assert_allclose(projected(sensor, shot, ecef(point, 900.0)), pixel_ahead(R, point), atol=2.0)  # float32
 
 
+TWO = dataflash_text([AT, AT | {"Img": 8, "Lat": 36.31}])
+KEPT = {  # content, photos, words of an assumption
+    "mark.log": (TWO.encode("utf-8-sig"), ["7", "8"], ""),
+    "utf16.log": (TWO.encode("utf-16"), ["7", "8"], ""),
+    "carriage returns.log": (TWO.replace("\n", "\r"), ["7", "8"], ""),
+    "cut.log": (TWO[:-30], ["7"], "The log ends within a message, which is left out"),
+    "no end of line.log": (TWO[:-1], ["7"], "The log ends within a message"),  # its last number may be cut
+    "cut.bin": (dataflash([AT, AT | {"Img": 8}])[:-10], ["7"], "The log ends within a message"),
+    "page.bin": (dataflash([AT]) + bytes(600), ["7"], "Parts of the log are damaged and left out"),
+    "unknown.log": (TWO.replace("36.31", "nan"), ["7"], "1 of 2 records are left out: position missing"),
+}
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_what_is_whole_of_a_log_is_read_and_the_rest_told(tmp_path: pathlib.Path, name: str) -> None:
+    content, photos, words = KEPT[name]
+    found = read_acquisition(written(tmp_path, name, content), height_datum=0.0)
+    assert found.names.tolist() == photos
+    damages = [one for one in found.assumed if "left out" in one]
+    assert len(damages) == bool(words)
+    assert words in "".join(damages)
+
+
+def test_damage_of_a_log_of_px4_is_told(tmp_path: pathlib.Path) -> None:
+    content = ulog([quaternion(BODY)] * 6)
+    last = content.rindex(b"D\x03\x00") - 2  # where the last photo begins
+    found = read_acquisition(written(tmp_path, "a.ulg", content[:last] + bytes(9) + content[last:]), height_datum=0.0)
+    assert len(found) < 6
+    assert any("Parts of the log are damaged" in one for one in found.assumed)
+
+
 REFUSED = {
+    "no length.bin": (dataflash([AT]).replace(b"\xa3\x95\x80\xa0\x34", b"\xa3\x95\x80\xa0\x00"), "'CAM' of 0 bytes"),
+    "text.bin": (dataflash([AT]).replace(b"eeefff", b"eeeffn"), "Y of a message CAM is .*, not a number"),
     "no photo.bin": (dataflash([]), "there is no message CAM"),
     "no photo.ulg": (ulog([]), "there is no camera_capture"),
     "noise.bin": (dataflash([AT]).replace(b"\xa3\x95\xa0", b"abc"), "there is no message CAM"),
     "cut.log": (dataflash_text([AT])[:40], "damaged, or no log of ArduPilot|there is no message CAM"),
-    "nowhere.ulg": (ulog([[0.0, 0.0, 0.0, 0.0]]), "no record tells where the camera was"),
+    "nowhere.ulg": (ulog([[0.0, 0.0, 0.0, 0.0]]), "no record has a position"),
     "far.bin": (dataflash([AT | {"Lat": 200.0}]), "photo 7: lat 200 is outside"),
     "cut.ulg": (ulog([quaternion(BODY)])[:12], "damaged, or no log of PX4"),
 }

@@ -156,6 +156,18 @@ def test_a_model_in_a_map_is_turned_by_its_grid_convergence(tmp_path: pathlib.Pa
     np.testing.assert_allclose(seen(found, np.asarray(point)), expected, atol=0.01)  # curvature of the Earth
 
 
+@pytest.mark.parametrize("lean", [0.0, 1e-15, 1e-13, 1e-10])
+def test_a_camera_that_looks_to_the_horizon_keeps_its_attitude(tmp_path: pathlib.Path, lean: float) -> None:
+    """Where heading and roll of the body that carries it turn about one axis, and beside it."""
+    R_level = DOWN @ Rotation.from_euler("x", np.pi / 2.0 - lean).as_matrix()
+    write_text(tmp_path, "PINHOLE", pose_words(R_level, CENTRE_ENU))
+    found = read_colmap(tmp_path, crs=ENU, height_datum="ellipsoid")
+    origin, axes = enu_axes()
+    ground = CENTRE_ENU + R_level @ np.array([130.0, -95.0, 560.0])
+    expected = pixel_of("PINHOLE", CAMERAS["PINHOLE"], np.array([130.0, -95.0, 560.0]))
+    np.testing.assert_allclose(seen(found, origin + axes @ ground), expected, atol=1e-5)  # pixels
+
+
 def test_altitudes_above_another_datum_are_raised(tmp_path: pathlib.Path) -> None:
     origin, axes = enu_axes()
     write_text(tmp_path, "PINHOLE", pose_words(axes @ R_ENU, origin + axes @ CENTRE_ENU))
@@ -240,6 +252,12 @@ def test_damaged_files_are_refused_in_a_line(tmp_path: pathlib.Path, case: str) 
     with pytest.raises(TableError, match=words) as refusal:
         read_acquisition(tmp_path / f"images{ending}", crs=ENU, height_datum="ellipsoid")
     assert "\n" not in str(refusal.value)
+
+
+def test_heights_that_no_camera_has_are_refused_in_a_map_too(tmp_path: pathlib.Path) -> None:
+    write_text(tmp_path, "RADIAL", pose_words(DOWN, np.array([751000.0, 4020000.0, -900000.0])))
+    with pytest.raises(TableError, match=r"a camera is -900000 m above the ellipsoid"):
+        read_acquisition(tmp_path, crs="EPSG:32616", height_datum=0.0)
 
 
 FRAMES: dict[str, tuple[bool, dict[str, Any], type[Exception], str]] = {

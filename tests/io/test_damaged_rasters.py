@@ -60,9 +60,25 @@ def test_a_grid_of_grass_that_states_an_edge_twice_is_refused(tmp_path: pathlib.
         read_dem(grid(tmp_path / "b.asc", text.replace("east: 6", "east: 6\neast: 7")), vertical_datum="ellipsoid")
 
 
-@pytest.mark.parametrize("written", ["1e3 2 3", "+1 -2 3", ".5 2 3", "nan 2 3", "1,5 2 3", "1\t2\r\n3"])
-def test_numbers_of_a_text_grid_as_programs_write_them_are_read(tmp_path: pathlib.Path, written: str) -> None:
-    read_dem(grid(tmp_path / "a.asc", GRID.replace("1 2 3", written)), vertical_datum="ellipsoid")
+@pytest.mark.parametrize(
+    "written, row",
+    [
+        ("1e3 2 3", [1000.0, 2.0, 3.0]),
+        ("+1 -2 3", [1.0, -2.0, 3.0]),
+        (".5 2 3", [0.5, 2.0, 3.0]),
+        ("nan 2 3", [np.nan, 2.0, 3.0]),
+        ("1,5 2 3", [1.5, 2.0, 3.0]),
+        ("1\t2\r\n3", [1.0, 2.0, 3.0]),
+    ],
+)
+def test_numbers_of_a_text_grid_as_programs_write_them_are_read(
+    tmp_path: pathlib.Path, written: str, row: list[float]
+) -> None:
+    dem = read_dem(grid(tmp_path / "a.asc", GRID.replace("1 2 3", written)), vertical_datum="ellipsoid")
+    expected = np.array([row, [4.0, 5.5, 6.0], [7.0, 8.0, 9.0]])
+    void = np.isnan(expected)
+    np.testing.assert_array_equal(np.asarray(dem.void), void)
+    np.testing.assert_array_equal(np.asarray(dem.posts)[~void], expected[~void])
 
 
 @pytest.mark.parametrize("driver, ending", [("ENVI", ".img"), ("GTX", ".gtx"), ("EHdr", ".bil"), ("BT", ".bt")])

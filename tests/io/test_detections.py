@@ -215,7 +215,7 @@ def test_each_detection_is_a_pixel_of_its_image(observed) -> None:
         Detection("other/a.jpg", "point", np.array([[1.0, 2.0]]), {}),
         Detection(f"{observed.folder.name}\\a.jpg", "box", BOX, {"score": 0.5, "name": "x", "ce90_m": 3}),
         Detection("c", "point", np.array([[1.0, 2.0]]), {}),
-        Detection("a", "polygon", TRIANGLE, {"label": "hut"}),
+        Detection("a.tif", "polygon", TRIANGLE, {"label": "hut"}),  # as a reconstruction may name it
     ]
     found, vertices = observations_of_detections(observed.rows, given, anchor="bottom", files=observed.files)
     assert [row["detected_name"] for row in found.columns] == [None, None, "x", None, None]
@@ -225,7 +225,7 @@ def test_each_detection_is_a_pixel_of_its_image(observed) -> None:
     assert [row["label"] for row in found.columns] == ["car", None, None, None, "hut"]
     assert [row["score"] for row in found.columns] == [None, None, 0.5, None, None]
     assert list(found.unread) == [1, 3]
-    assert "no exposure has this name" in found.unread[1].reason
+    assert "no exposure has this name; known: a.jpg, b.jpg, c.jpg" in found.unread[1].reason
     assert "c.jpg" in found.unread[3].reason  # the reason why the image was not read
     assert [len(one) for one in vertices] == [1, 0, 4, 0, 3]
     fixes = locate_observations(found, jaxgeo.ConstantHeight(300.0))

@@ -147,6 +147,15 @@ def test_times_and_photos(log) -> None:
     assert found.time_is_utc
 
 
+def test_an_unknown_time_is_told_and_the_order_of_records_is_free(log) -> None:
+    rows = [{"datetime(utc)": f"2021-05-04 10:20:3{k}.000", "latitude": f"36.{k + 1}"} for k in range(3)]
+    found = log(litchi(*rows[::-1]), takeoff_height=TAKEOFF, times=["00:00:00,500"])
+    assert np.rad2deg(found.shots.pose.position.lat) == pytest.approx([36.15], abs=1e-9)
+    found = log(litchi(rows[0], rows[1] | {"datetime(utc)": "4 May"}, rows[2]), takeoff_height=TAKEOFF)
+    assert any("Times are unknown in 1 of 3 records (the first is row 3)" in one for one in found.assumed)
+    assert not np.any(found.shots.time)
+
+
 def test_altitudes_of_flight_reader_are_above_the_datum_of_the_caller(log) -> None:
     found = log(reader(), height_datum="EPSG:5773")
     expected = 2952.756 * 0.3048 + float(undulation(36.3, -84.2))
@@ -181,10 +190,21 @@ REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     "range": (litchi({"gimbalPitchRaw": "-6000"}), {"takeoff_height": 0.0}, "row 2: pitch -600 is outside"),
     "unit": (litchi().replace("altitude(m)", "altitude(rods)"), {"takeoff_height": 0.0}, "must be feet or meters"),
     "no yaw": (litchi().replace("gimbalYawRaw", "x"), {"takeoff_height": 0.0}, "no column gimbalyawraw"),
-    "cut": (litchi() + "36.3,-84.2,30", {"takeoff_height": 0.0}, "row 3: 3 cells"),
+    "cut": (litchi() + "36.3,-84.2,30", {"takeoff_height": 0.0}, "row 3: 3 cells.*; the file ends within the row"),
+    "two logs": (litchi() + litchi(), {"takeoff_height": 0.0}, "row 3: the header again: the file is several tables"),
+    "minus": (
+        litchi({"longitude": "\u221284.2"}),
+        {"takeoff_height": 0.0},
+        "its sign is the character U.2212; write -",
+    ),
+    "no angles": (
+        "latitude,longitude,altitude(m),istakingphoto\n36.3,-84.2,300,1\n",
+        {"takeoff_height": 0.0},
+        "no column gimbalyawraw",
+    ),
     "no gimbal": (reader().replace("GIMBAL.", "G."), {"height_datum": 0.0}, "no column gimbal.yaw"),
     "latitude": (reader({"OSD.latitude": "136.3"}), {"height_datum": 0.0}, "lat 136.3 is outside"),
-    "no fix": (reader({"OSD.latitude": "", "OSD.longitude": ""}), {"height_datum": 0.0}, "no record tells where"),
+    "no fix": (reader({"OSD.latitude": "", "OSD.longitude": ""}), {"height_datum": 0.0}, "no record has a position"),
     "named camera": (reader(), {"height_datum": 0.0, "camera": "X5"}, "the file names no cameras"),
 }
 

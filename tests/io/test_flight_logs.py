@@ -117,7 +117,7 @@ def test_times(log) -> None:
     assert found.facts["photos"] == "1 (1)"
     for text, words in (
         (subtitles().replace("2025-05-04", "0000-00-00"), "Times are those of the video"),
-        (airdata({"datetime(utc)": ""}), "Times are not in the file; they are 0."),
+        (airdata({"datetime(utc)": ""}), "Times are not in the file, or not in a form that is read; they are 0."),
     ):
         found = log(text, height_datum=0.0)
         assert found.shots.time.tolist() == [0.0]
@@ -149,7 +149,7 @@ def test_what_is_unknown_is_left_out_and_said(log) -> None:
     found = log(airdata(*changes), height_datum=0.0)
     assert found.names.tolist() == ["0"]
     assert found.facts["records"] == "1 of 5"
-    with pytest.raises(TableError, match=r"no record tells where the camera was.*position unknown"):
+    with pytest.raises(TableError, match=r"no record has a position.*position unknown"):
         log(airdata(blank), height_datum=0.0)
 
 
@@ -237,7 +237,7 @@ def test_a_number_of_subtitles_that_goes_on_in_damaged_bytes_is_none(tmp_path: p
     place = "[latitude: 47.1\xfe5] [longitude: 8.25] [abs_alt: 610.5] [gb_yaw: 1 gb_pitch: -45 gb_roll: 0]"
     text = f"1\n00:00:00,000 --> 00:00:00,033\n{place}\n"
     (tmp_path / "a.SRT").write_bytes(text.encode("latin-1"))
-    with pytest.raises(TableError, match="no record tells where"):
+    with pytest.raises(TableError, match="no record has a position"):
         read_acquisition(tmp_path / "a.SRT", height_datum="ellipsoid")
 
 

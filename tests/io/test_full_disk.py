@@ -94,7 +94,7 @@ def some_problem(path: pathlib.Path) -> None:
 
 
 WRITERS: dict[str, Callable[[pathlib.Path], None]] = {
-    **{f"fixes{ending}": some_fixes for ending in (".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz")},
+    **{f"fixes{ending}": some_fixes for ending in (".csv", ".geojson", ".gpkg", ".parquet", ".kml", ".kmz", ".gpx")},
     "points.csv": some_points,
     "orientations.csv": some_orientations,
     "image.tif": some_image,

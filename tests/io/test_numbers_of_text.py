@@ -35,6 +35,16 @@ PLACES = {
     "ground control": "2731048.25",
     "image points": "10.25",
     "BAL": "10.5",
+    "camera parameters of Pix4D": "4020020.5",
+    "camera of Pix4D": "1.385",
+    "cameras of COLMAP, text": "203.5",
+    "images of COLMAP, text": "900.125",
+    "fisheyes of OpenSfM": "24.6801",
+    "log of ArduPilot, text": "36.3",
+    "flight log of Litchi": "36.3002",
+    "flight log at a time": "301.5",
+    "flight log of Flight Reader": "984.252",
+    "image of a band": "0.05",
 }
 NO_TEXT = {"DEM, VRT", "DEM, ASCII grid", "scene"}  # GDAL's own numbers; a scene has those of a camera file, TOML
 ARABIC, FULLWIDTH = ({ord(str(k)): first + k for k in range(10)} for first in (0x0660, 0xFF10))

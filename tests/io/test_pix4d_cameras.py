@@ -155,7 +155,7 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "fisheye": ("camera matrix K [3x3]\nradial distortion [3x1]", "camera matrix K [3x3]\nfisheye distortion [4x1]",
                 "'fisheye distortion .* only perspective cameras are read"),
     "cut": (words(R_ENU.T[2]) + "\n", "", "an image.JPG: the file ends within it"),
-    "skew": ("277.0 0.0 203.5", "277.0 0.5 203.5", "its camera matrix has a skew"),
+    "skew": ("277.0 0.0 203.5", "277.0 0.5 203.5", "must be fx 0 cx, 0 fy cy, 0 0 1; got 277 0.5 203.5, "),
     "rotation": (words(R_ENU.T[2]), "0.1 0.2 -0.9", "an image.JPG: it is no rotation"),
     "number": ("203.5", "203,5", "row 10: expected 3 numbers; got '277.0 0.0 203,5'"),
     "size": ("JPG 400 300", "JPG 400", "row 9: expected an image's name, width and height"),

@@ -421,5 +421,6 @@ def test_void_ceiling_is_passed_on(tmp_path: pathlib.Path) -> None:
 def test_a_file_beside_that_is_no_auxiliary_file_of_gdal_is_passed_over(tmp_path: pathlib.Path) -> None:
     """LaTeX writes map.aux beside map.tif; GDAL opens such a file only if its first bytes are those of Imagine."""
     write(tmp_path / "map.tif", hills((9, 11)))
+    alone = read_dem(tmp_path / "map.tif", vertical_datum="ellipsoid")
     (tmp_path / "map.aux").write_text("\\relax \n")
-    read_dem(tmp_path / "map.tif", vertical_datum="ellipsoid")
+    np.testing.assert_array_equal(read_dem(tmp_path / "map.tif", vertical_datum="ellipsoid").posts, alone.posts)

@@ -457,7 +457,7 @@ def test_nothing_but_failures_is_written_too(tmp_path: pathlib.Path) -> None:
 
 NOT_SYMMETRIC = np.stack([LEVEL + np.triu(np.ones((3, 3)), 1)] * 3)
 WRONG = [
-    ({"path": "fixes.shp"}, ValueError, r"end in \.csv, \.geojson, \.json, \.gpkg, \.parquet, \.kml, \.kmz"),
+    ({"path": "fixes.shp"}, ValueError, r"end in \.csv, \.geojson, \.json, \.gpkg, \.parquet, \.kml, \.kmz, \.gpx"),
     ({"path": "nowhere/fixes.gpkg"}, ValueError, "there is no folder"),
     ({"path": "folder.gpkg"}, ValueError, "this is a folder"),
     ({"fixes": ALPS}, TypeError, "fixes must be a jaxgeo Fix"),

@@ -154,6 +154,6 @@ def test_its_own_crs_may_be_named(tmp_path: pathlib.Path) -> None:
 
 
 def test_what_xml_cannot_hold_is_refused(tmp_path: pathlib.Path) -> None:
-    with pytest.raises(ValueError, match=r"fixes\.kml: KML cannot hold the character '\\x00'"):
+    with pytest.raises(ValueError, match=r"fixes\.kml: XML cannot hold the character '\\x00'"):
         write_fixes(tmp_path / "fixes.kml", made(), attributes=[{"a": "x\0"}] * 3)
     assert list(tmp_path.iterdir()) == []

@@ -11,11 +11,14 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pyproj
 import pytest
+import shapely
 from pyogrio import raw
 from typer.testing import CliRunner
 
+from jaxgeo import Fix, Status
 from jaxgeo.cli import app
-from jaxgeo.io import Acquisition, read_acquisition, write_track
+from jaxgeo.earth import Geodetic
+from jaxgeo.io import Acquisition, read_acquisition, write_fixes, write_track
 from tests.io.test_flight_logs import airdata, subtitles
 
 ROWS = [{"latitude": str(36.3 + 1e-3 * k), "time(millisecond)": str(1500 + 1000 * k)} for k in (0, 2, 1)]
@@ -45,12 +48,35 @@ def test_gdal_reads_points_and_times_of_gpx(tmp_path: pathlib.Path, flight: Acqu
     np.testing.assert_allclose(table["ele"], places()[:, 2], atol=1e-3)  # m
     np.testing.assert_array_equal(table["time"], np.array([one[:-1] for one in TIMES], "datetime64[ms]"))
     assert table["name"].tolist() == ["0", "2", "1"]
-    import shapely
-
     found = shapely.get_coordinates(shapely.from_wkb(shapes), include_z=False)
     np.testing.assert_allclose(found, places()[:, :2], atol=1e-9)
     root = ET.parse(path).getroot()
     assert (root.tag, root.get("version")) == ("{http://www.topografix.com/GPX/1/1}gpx", "1.1")
+
+
+def test_gdal_reads_fixes_of_gpx(tmp_path: pathlib.Path) -> None:
+    """Those with coordinates, with their times."""
+    path = tmp_path / "fixes.gpx"
+    lat, lon, height = (
+        np.radians([36.3, np.nan, 36.302]),
+        np.radians([-84.2, np.nan, -84.2]),
+        np.array([300.0, np.nan, 310.0]),
+    )
+    status = np.array([Status.hit, Status.rises_away, Status.hit], np.int8)
+    number = np.zeros(3)
+    fixes = Fix(Geodetic(lat=lat, lon=lon, height=height), np.zeros((3, 3)), number, number, number, number, status)
+    rows = [{"name": name, "time_utc": time} for name, time in zip("abc", TIMES, strict=True)]
+    write_fixes(path, fixes, attributes=rows)
+    known, _, shapes, columns = raw.read(path, layer="track_points")
+    table = dict(zip(known["fields"], columns, strict=True))
+    assert table["name"].tolist() == ["a", "c"]
+    np.testing.assert_array_equal(table["time"], np.array([TIMES[0][:-1], TIMES[2][:-1]], "datetime64[ms]"))
+    to_sea = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:9707", always_xy=True)
+    expected = [to_sea.transform(-84.2, 36.3, 300.0), to_sea.transform(-84.2, 36.302, 310.0)]
+    np.testing.assert_allclose(shapely.get_coordinates(shapely.from_wkb(shapes)), np.array(expected)[:, :2], atol=1e-9)
+    np.testing.assert_allclose(table["ele"], np.array(expected)[:, 2], atol=1e-3)  # m
+    with pytest.raises(ValueError, match="GPX has longitudes and latitudes on WGS 84"):
+        write_fixes(path, fixes, crs="EPSG:32616")
 
 
 def test_kml_is_valid_by_its_schema_with_and_without_times(tmp_path: pathlib.Path, flight: Acquisition) -> None:

@@ -117,7 +117,11 @@ REASONS = [
         "2 % of the perturbed lines of sight hit a nearer or farther slope (first at 1.5 sigma)",
     ),
     ({"jumps": 0.004, "profile": 20.0}, Method.samples, "not planar"),
-    ({"fails": 0.3}, Method.samples, "30 % of the perturbed lines of sight meet no known ground"),
+    (
+        {"fails": 0.3},
+        Method.samples,
+        "30 % of the perturbed lines of sight look behind the nadir, or meet no known ground",
+    ),
     ({"known": 0.75}, Method.samples, "25 % of the ground in the footprint is unknown"),
     ({"known": math.nan}, Method.samples, "ground in the footprint is unknown"),
     ({"grazing": 0.005}, Method.samples, "grazes the surface, at 5 mrad"),

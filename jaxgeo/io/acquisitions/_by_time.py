@@ -21,7 +21,7 @@ from jaxgeo.io.acquisitions.record import Acquisition, Reported
 from jaxgeo.io.errors import TableError
 from jaxgeo.sensor import Pose, Shot
 
-CLOCK = re.compile(r"(?:([0-9]{1,3}):)?([0-9]{1,2}):([0-9]{1,2}(?:\.[0-9]{1,9})?)")
+CLOCK = re.compile(r"(?:([0-9]{1,3}):)?([0-9]{1,2}):([0-9]{1,2}(?:[.,][0-9]{1,9})?)")
 FORMS = "HH:MM:SS, MM:SS or s after the start of the file (00:01:23.5, 83.5), or a UTC time (2024-05-10T10:20:31Z)"
 LONGEST = 2.0  # s between two records that are interpolated
 LARGEST_TURN = np.deg2rad(20.0)  # of any angle between them
@@ -51,7 +51,7 @@ def at_times(found: Acquisition, times: Times) -> Acquisition:
     """
     clock = np.asarray(found.shots.time, np.float64)
     if not np.any(clock) or (np.any(clock == 0.0) and np.ptp(clock) > 1e8):  # zero where it is unknown
-        raise TableError(f"{found.path}: its records have no times; leave times= out.")
+        raise TableError(f"{found.path}: times of its records are missing; leave times= out.")
     start = found.start if found.start is not None else float(clock.min())
     order = np.argsort(clock, kind="stable")
     seconds = [_seconds(found, one, start) for one in times]
@@ -81,7 +81,7 @@ def at_times(found: Acquisition, times: Times) -> Acquisition:
             each.append(between)
     if widest:
         notes.insert(0, f"Poses are interpolated linearly between neighbouring records, {widest:.3g} s apart at most.")
-    notes.append(f"Times are counted from the first record of the file{_utc_shown(found, start)}.")
+    notes.append(f"Times are counted from the earliest record of the file{_utc_shown(found, start)}.")
     rows = np.array(nearest)
     sensor, sources = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], (found.sensor, found.sources))
     shots = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *each)
@@ -103,8 +103,10 @@ def _seconds(found: Acquisition, written: str | float, start: float) -> float:
         return start + float(written)
     text = written.strip()
     clock = CLOCK.fullmatch(text)
-    if clock is not None and float(clock[3]) < 60.0 and (clock[1] is None or int(clock[2]) < 60):
-        return start + 3600.0 * int(clock[1] or 0) + 60.0 * int(clock[2]) + float(clock[3])
+    if clock is not None:
+        minutes, last = int(clock[2]), float(clock[3].replace(",", "."))  # subtitles have commas
+        if last < 60.0 and (clock[1] is None or minutes < 60):
+            return start + 3600.0 * int(clock[1] or 0) + 60.0 * minutes + last
     number = number_in(text)
     if number is not None:
         return start + number

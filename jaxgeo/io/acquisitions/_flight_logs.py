@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.io.acquisitions._attitudes import attitudes_of
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
@@ -76,6 +78,7 @@ def acquisition_of_records(
         check_is(cameras, FrameCamera, "cameras")
     if camera is not None:
         raise TableError(f"{path}: camera={camera!r} is asked for, but the file names no cameras.")
+    records = [_without_nan(record) for record in records]
     for record in records:
         _check_range(path, record)
     height_name = "above_takeoff" if takeoff_height is not None else "altitude"
@@ -94,7 +97,7 @@ def acquisition_of_records(
     count = len(known)
     sensor = None if cameras is None else for_each(Sensor(cameras, Gimbal.fixed(), Mount.nadir()), count)
     of_camera = [] if cameras is None else [AS_GIVEN]
-    of_times = [] if timed else ["Times are not in the file; they are 0."]
+    of_times = [] if timed else [_no_times(known)]
     return Acquisition(
         path=os.fspath(path),
         form=form,
@@ -106,7 +109,26 @@ def acquisition_of_records(
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,
         of_camera=not of_body,
-        start=next((record.time for record in records if math.isfinite(record.time)), None) if timed else None,
+        start=min(record.time for record in records if math.isfinite(record.time)) if timed else None,
+    )
+
+
+def _without_nan(record: LogRecord) -> LogRecord:
+    """The record with None for numbers that are NaN, by which logs say that one is unknown."""
+    if not any(value is not None and math.isnan(value) for value in record.numbers.values()):
+        return record
+    numbers = {name: None if value is None or math.isnan(value) else value for name, value in record.numbers.items()}
+    return dataclasses.replace(record, numbers=numbers)
+
+
+def _no_times(records: Sequence[LogRecord]) -> str:
+    """A note on times that are not used."""
+    without = [record for record in records if not math.isfinite(record.time)]
+    if len(without) == len(records):
+        return "Times are not in the file, or not in a form that is read; they are 0."
+    return (
+        f"Times are unknown in {len(without)} of {len(records)} records (the first is {without[0].where}); they are 0 "
+        f"in all."
     )
 
 
@@ -117,10 +139,7 @@ def nadir_attitude(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> tupl
     """
     turn = np.asarray(R_HEAD_FROM_CAMERA_FORWARD) @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T  # 90 deg of pitch
     R = _R_from_yaw_pitch_roll(yaw, pitch, roll) @ turn
-    upright = np.hypot(R[:, 0, 0], R[:, 1, 0]) < 1e-9  # gimbal lock: heading and roll share one axis
-    heading = np.where(upright, np.arctan2(-R[:, 0, 1], R[:, 1, 1]), np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-    leaning = np.where(upright, 0.0, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
-    nose = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
+    heading, nose, leaning = attitudes_of(R)
     level = roll == 0.0  # exact, and continuous where the camera looks ahead
     return tuple(np.where(level, *pair) for pair in ((yaw, heading), (pitch + 0.5 * np.pi, nose), (0.0, leaning)))  # type: ignore[return-value]
 
@@ -157,7 +176,7 @@ def _known(
             known.append(record)
     notes = [f"{count} of {len(records)} records are left out: {why}." for why, count in left.items()]
     if not known:
-        raise TableError(f"{path}: no record tells where the camera was and how it was turned: {'; '.join(left)}.")
+        raise TableError(f"{path}: no record has a position, a height and camera angles: {'; '.join(left)}.")
     return known, notes
 
 

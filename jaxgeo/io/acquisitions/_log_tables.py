@@ -9,7 +9,7 @@ import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from jaxgeo._text_numbers import BLANKS, number_in
+from jaxgeo._text_numbers import BLANKS, no_number, number_in
 from jaxgeo.io._csv import UNKNOWN_WORDS, CsvTable
 from jaxgeo.io.acquisitions._flight_logs import LogRecord
 from jaxgeo.io.errors import TableError
@@ -119,7 +119,7 @@ def _record(
             continue
         number = number_in(cell)
         if number is None:
-            raise table.wrong(row, table.header[index], f"{cell[:60]!r} is not a number.")
+            raise table.wrong(row, table.header[index], f"{no_number(cell)}.")
         numbers[ours] = factor * number
     return LogRecord(str(row), f"row {table.lines[row]}", values, numbers, time_of(values))
 

@@ -13,6 +13,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
+from jaxgeo.io.acquisitions._attitudes import attitudes_of
 from jaxgeo.io.acquisitions.blocks import CHOICES, heights_are
 from jaxgeo.io.acquisitions.record import UnstatedDatum
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
@@ -61,9 +62,7 @@ def pose_of_ecef(centres: np.ndarray, R_ecef_from_camera: np.ndarray) -> Pose:
 
 def pose_of_ned(position: Geodetic, R_ned_from_camera: np.ndarray) -> Pose:
     """Poses of bodies that carry cameras with rotations (n, 3, 3) to local north-east-down in `Mount.nadir()`."""
-    R = R_ned_from_camera @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T
-    pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
-    return Pose(position, np.arctan2(R[:, 1, 0], R[:, 0, 0]), pitch, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
+    return Pose(position, *attitudes_of(R_ned_from_camera @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T))
 
 
 def R_ned_from_ecef(lat: Any, lon: Any) -> np.ndarray:
@@ -81,9 +80,13 @@ def check_on_earth(path: Any, centres: np.ndarray, remedy: str) -> None:
     if np.any((radius < RADII[0]) | (radius > RADII[1])):
         raise TableError(f"{path}: its cameras have no place on the Earth (the first is {radius[0]:.6g} m from its "
                          f"centre); {remedy}.")  # fmt: skip
-    height = np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2])
+    _check_heights(path, np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2]))
+
+
+def _check_heights(path: Any, height: np.ndarray) -> None:
+    """Raises `TableError` for heights above the ellipsoid that no camera has."""
     low, high, _ = POSE_COLUMNS["height_m"]
-    wrong = (height < low) | (height > high)
+    wrong = ~((height >= low) & (height <= high))
     if np.any(wrong):
         raise TableError(
             f"{path}: a camera is {height[np.argmax(wrong)]:.6g} m above the ellipsoid, outside [{low:g}, {high:g}] m."
@@ -159,6 +162,7 @@ def _of_map(path: Any, crs: Any, datum: Any, centres: np.ndarray, R: np.ndarray)
         row = int(np.argmin(np.isfinite(turn)))
         raise TableError(f"{path}: ({x[row]:.10g}, {y[row]:.10g}) has no place in {horizontal.name!r}.")
     height = ellipsoidal_heights(lon, lat, z, datum, vertical)
+    _check_heights(path, height)
     sin, cos, zero, one = np.sin(turn), np.cos(turn), np.zeros_like(turn), np.ones_like(turn)
     rows = [[-sin, cos, zero], [cos, sin, zero], [zero, zero, -one]]  # Rz(turn) of (northing, easting, down)
     R_ned_from_map = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

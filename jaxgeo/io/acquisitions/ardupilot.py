@@ -6,14 +6,19 @@ import contextlib
 import io
 import math
 import os
+import pathlib
+import re
+import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from jaxgeo._checks import require_x64
+from jaxgeo.io._json import shown
 from jaxgeo.io._regular import check_regular
+from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions._flight_logs import LogRecord, acquisition_of_records
 from jaxgeo.io.acquisitions._rtklib import GPS_EPOCH, WEEK, leap_seconds
 from jaxgeo.io.acquisitions.record import Acquisition
@@ -22,7 +27,9 @@ from jaxgeo.io.sentinels import ARDUPILOT
 from jaxgeo.sensor import FrameCamera
 
 FORM = "flight log of ArduPilot"
-BINARY, TEXT = b"\xa3\x95\x80", b"FMT,"  # the first bytes: a message that states a format
+BINARY, TEXT = b"\xa3\x95\x80", "FMT,"  # the start: a message that states a format
+ODD = re.compile(rb"^(?:CAM|MNT),[^\n]*(?:[0-9]_[0-9]|[\x80-\xff])[^\n]*", re.MULTILINE)  # what only Python reads
+HEADER = 3  # bytes of a binary message before its fields
 NEEDED = ("Lat", "Lng", "Alt", "R", "P", "Y")
 CLOSE = 1.0  # s between a photo and the mount's angles
 FIXED = (
@@ -32,6 +39,7 @@ FIXED = (
 MOUNT = (
     "Angles are the mount's (MNT), roll and pitch against level, by the nearest record in time ({worst:.2g} s at most)."
 )
+CUT = "The log ends within a message, which is left out: it was not written or copied to its end."
 LEVER = "Positions are the autopilot's: no lever arm to the camera is added."
 
 
@@ -54,7 +62,7 @@ def read_ardupilot(
     without the extra `logs`; `TableError` for a log without photos, or damaged; else as `read_airdata`.
     """
     require_x64()
-    photos, mounts, others = _messages(path)
+    photos, mounts, others, damages = _messages(path)
     if not photos:
         note = f"; it has {others} of TRIG, the moments of release" if others else ""
         raise TableError(
@@ -63,6 +71,8 @@ def read_ardupilot(
     lacking = [name for name in NEEDED if name not in photos[0]]
     if lacking:
         raise TableError(f"{path}: its messages CAM have no {', '.join(lacking)}.")
+    _check_numbers(path, "CAM", photos, (*NEEDED, "RelAlt", "TimeUS", "GPSWeek", "GPSTime"))
+    _check_numbers(path, "MNT", mounts, ("Roll", "Pitch", "YawE", "YawB", "TimeUS"))
     found = [_angles(photo, mounts) for photo in photos]
     by_mount = bool(mounts)
     names = _names(photos)
@@ -93,30 +103,82 @@ def read_ardupilot(
         cameras=cameras,
         camera=camera,
         facts={},
-        assumed=(MOUNT.format(worst=worst) if by_mount else FIXED, LEVER),
+        assumed=(MOUNT.format(worst=worst) if by_mount else FIXED, LEVER, *damages),
         time_is_utc=True,
         of_body=not by_mount,
     )
 
 
-def _messages(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]], int]:
-    """(fields of messages CAM, those of MNT, number of messages TRIG)."""
+def _messages(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]], int, list[str]]:
+    """(fields of messages CAM, those of MNT, number of messages TRIG, sentences about damage)."""
     readers = _pymavlink()
     check_regular(path, TableError)
     with open(path, "rb") as file:
         is_binary = file.read(len(BINARY)) == BINARY
     found: dict[str, list[dict[str, Any]]] = {"CAM": [], "MNT": [], "TRIG": []}
-    silent = contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO())
+    printed = io.StringIO()
     try:
-        with silent[0], silent[1]:  # it prints what it cannot read
-            log = readers[is_binary](os.fspath(path))
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), _as_written(path) as place:
+            log = readers[is_binary](place)
             with contextlib.closing(log):
                 while (message := log.recv_match(type=list(found))) is not None:
                     found[message.get_type()].append(message.to_dict())
+                is_cut = _is_cut(log, is_binary)
+                odd = None if is_binary else ODD.search(log.data_map)
+                if odd is not None:
+                    line = odd[0].decode("utf-8", "replace").strip()
+                    raise TableError(f"{path}: expected numbers in ASCII digits; got {shown(line)}.")
+    except (TableError, FileNotFoundError):
+        raise
     except Exception as error:  # pymavlink raises `Exception` itself, and whatever damaged bytes cause in it
         reason = str(error).strip() or type(error).__name__
         raise TableError(f"{path}: damaged, or no log of ArduPilot: {' '.join(reason.split())[:200]}.") from error
-    return found["CAM"], found["MNT"], len(found["TRIG"])
+    damages = [CUT] if is_cut else []
+    first = next((" ".join(line.split())[:120] for line in printed.getvalue().splitlines() if line.strip()), "")
+    if first:
+        damages.insert(0, f"Parts of the log are damaged and left out (the first: {first}).")
+    return found["CAM"], found["MNT"], len(found["TRIG"]), damages
+
+
+def _check_numbers(path: Any, kind: str, rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> None:
+    """Raises `TableError` for a field that the log declares as something else than a number."""
+    for name, value in ((name, row[name]) for row in rows for name in names if name in row):
+        if not isinstance(value, int | float):
+            raise TableError(f"{path}: {name} of a message {kind} is {shown(value)}, not a number.")
+
+
+@contextlib.contextmanager
+def _as_written(path: str | os.PathLike[str]) -> Iterator[str]:
+    """A path that pymavlink reads: a copy of a text that is not in plain UTF-8 with line feeds."""
+    with open(path, "rb") as file:
+        head = file.read(4096)
+    if head.startswith(BINARY) or (head.startswith(TEXT.encode()) and b"\n" in head):
+        yield os.fspath(path)
+        return
+    text = read_text(path, FORM)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = pathlib.Path(folder) / "flight.log"
+        copy.write_text(text.replace("\r\n", "\n").replace("\r", "\n"), encoding="utf-8", newline="\n")
+        yield os.fspath(copy)
+
+
+def _is_cut(log: Any, is_binary: bool) -> bool:
+    """Whether a log that was read to its end stops within a message."""
+    content = log.data_map
+    if is_binary:  # the reader stands behind the header of the message that it could not read
+        header = content[log.offset - 3 : log.offset]
+        return log.offset >= 3 and header[:2] == BINARY[:2] and header[2] in log.formats and log.remaining > 0
+    last = content[content.rfind(b"\n") + 1 :].decode("utf-8", "replace")  # the reader takes lines with an end only
+    return last.split(",")[0] in log.formats
+
+
+class _Formats(dict[int, Any]):
+    """Formats of messages by number. Raises `ValueError` for one without a length, at which the reader would stay."""
+
+    def __setitem__(self, number: int, form: Any) -> None:
+        if form.len < HEADER:
+            raise ValueError(f"messages {form.name[:20]!r} of {form.len} bytes")
+        super().__setitem__(number, form)
 
 
 def _pymavlink() -> tuple[Any, Any]:
@@ -130,6 +192,7 @@ def _pymavlink() -> tuple[Any, Any]:
         """The reader with its index made in Python, which takes as long; the compiled one prints past `sys.stderr`."""
 
         def init_arrays_fast(self, progress_callback: Any = None) -> None:
+            self.formats = _Formats(self.formats)
             self.init_arrays(progress_callback)
 
     return DFReader.DFReader_text, Binary

@@ -150,8 +150,21 @@ def form_of(path: str | os.PathLike[str]) -> Form:
             f"{path}: this is a video (MP4 or MOV), of which no telemetry is read. Give the subtitle file (.SRT) that "
             f"the drone wrote beside it, or its subtitles as such a file: ffmpeg -i VIDEO -map 0:s:0 clip.srt."
         )
+    _refuse_damaged(path, head)
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
+
+
+def _refuse_damaged(path: str | os.PathLike[str], head: bytes) -> None:
+    """Raises `TableError` for blanks only, and for text with zero bytes, as in files that were not copied whole."""
+    if not head.strip(b"\0\xef\xbb\xbf \t\r\n"):
+        raise TableError(f"{path}: the file has only {'zero bytes' if head[0] == 0 else 'blanks'}: copy it again.")
+    zero = head.find(b"\0\0\0\0\0\0\0\0")
+    if zero > 0 and text_of(head[:zero], is_cut=True) is not None:
+        raise TableError(
+            f"{path}: it is text up to byte {zero}, and zero bytes from there: it was not written or copied to its "
+            f"end. Copy it again, or delete what follows."
+        )
 
 
 def form_of_folder(path: str | os.PathLike[str]) -> Form | None:
@@ -223,7 +236,8 @@ def _is_colmap(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_ardupilot(path: pathlib.Path, head: bytes) -> bool:
-    return head.startswith(DATAFLASH) or (head.startswith(DATAFLASH_TEXT) and _is_text(head))
+    text = text_of(head, is_cut=True)
+    return head.startswith(DATAFLASH) or (text is not None and text.startswith(DATAFLASH_TEXT))
 
 
 def _is_px4(path: pathlib.Path, head: bytes) -> bool:
@@ -238,9 +252,14 @@ def _is_text(head: bytes) -> bool:
     return all(byte in TEXT for byte in head)
 
 
-def _has(*words: bytes) -> Callable[[pathlib.Path, bytes], bool]:
+def _has(*words: str) -> Callable[[pathlib.Path, bytes], bool]:
     """A test whether a file is text with all the words in its first bytes."""
-    return lambda path, head: _is_text(head) and all(word in head for word in words)
+
+    def has(path: pathlib.Path, head: bytes) -> bool:
+        text = text_of(head, is_cut=True)
+        return text is not None and all(word in text for word in words)
+
+    return has
 
 
 def _is_scene(path: pathlib.Path, head: bytes) -> bool:
@@ -315,13 +334,14 @@ IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positi
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
 COLMAP = Form(COLMAP_FORM, _is_colmap, read_colmap, PLACED)
 MICMAC = Form(MICMAC_FORM, _is_micmac, read_micmac, (*PLACED, "cameras"))
-PIX4D = Form(PIX4D_FORM, _has(b"camera matrix K [3x3]"), read_pix4d, PLACED)
-OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)")
-OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw")
-OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "custom.updatetime [local]")
+PIX4D = Form(PIX4D_FORM, _has("camera matrix K [3x3]"), read_pix4d, PLACED)
+# Columns of which one tells a program's log from other tables, with or without those of the gimbal.
+OF_AIRDATA = ("gimbal_heading(degrees)", "compass_heading(degrees)", "isphoto", "isvideo", "gpslevel")
+OF_LITCHI = ("gimbalyawraw", "gimbalpitchraw", "istakingphoto", "istakingvideo")
+OF_FLIGHT_READER = ("gimbal.yaw", "gimbal.pitch", "osd.yaw", "osd.flytime", "custom.updatetime [local]")
 PHOTO_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
 FLIGHT_LOG = (*PHOTO_LOG, "times")
-ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
+ORTHORITY = Form("parameter file of Orthority", _has("FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
 ORTHORITY_OR_TABLE = ORIENTATIONS._replace(takes=(*ORIENTATIONS.takes, "interior"))
 FORMS = (

@@ -153,11 +153,16 @@ def _image(path: pathlib.Path, lines: list[tuple[int, str]]) -> _Image:
 def _camera(image: _Image) -> FrameCamera:
     K = np.array(image.numbers[:3])
     if K[0, 1] != 0.0 or K[1, 0] != 0.0 or K[2].tolist() != [0.0, 0.0, 1.0]:
-        raise TableError(f"{image.where}: its camera matrix has a skew or is none.")
+        wanted = "fx 0 cx, 0 fy cy, 0 0 1"
+        raise TableError(f"{image.where}: its camera matrix must be {wanted}; got {_shown(K)}.")
     if not (0.0 < K[0, 0] <= MOST_PIXELS and 0.0 < K[1, 1] <= MOST_PIXELS):
         raise TableError(f"{image.where}: focal lengths must be positive; got {K[0, 0]:g}, {K[1, 1]:g} pixels.")
     radial, tangential = (numbers.tolist() for numbers in image.numbers[3:5])
     return frame_camera_of(image.size, (K[0, 0], K[1, 1]), (K[0, 2], K[1, 2]), radial, tangential)
+
+
+def _shown(matrix: np.ndarray) -> str:
+    return ", ".join(" ".join(f"{x:g}" for x in row) for row in matrix)
 
 
 def _beside(path: pathlib.Path, ending: str) -> pathlib.Path:
@@ -175,7 +180,8 @@ def _offset(path: pathlib.Path) -> tuple[np.ndarray, str]:
         )
     found = numbers_in(words_of(read_text(place, "offset of Pix4D").replace(",", " ")))
     if found is None or len(found) != 3:
-        raise TableError(f"{place}: expected three numbers, the offset of the project in m.")
+        got = shown(read_text(place, "offset of Pix4D").strip()[:60])
+        raise TableError(f"{place}: expected three numbers, the offset of the project in m; got {got}.")
     return np.array(found), MOVED.format(name=place.name, x=found[0], y=found[1], z=found[2])
 
 

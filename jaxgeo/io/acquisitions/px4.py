@@ -28,6 +28,7 @@ FIXED = (
     "fixed to it, with the top of its image to the nose."
 )
 GIMBAL = "The log has angles of a gimbal ({topic}): q is taken as the camera's attitude, looking ahead at zero."
+CORRUPT = "Parts of the log are damaged and left out, photos in them too."
 LEVER = "Positions are the autopilot's: no lever arm to the camera is added."
 
 
@@ -48,7 +49,7 @@ def read_px4(
     `TableError` for a log without photos, or damaged; else as `read_airdata`.
     """
     require_x64()
-    topics = _topics(path)
+    topics, is_corrupt = _topics(path)
     photos = topics.get(PHOTOS)
     if not photos or not any(len(column) for column in photos.values()):
         raise TableError(f"{path}: there is no {PHOTOS}, of a photo; PX4 logs it where a camera trigger is set up.")
@@ -85,14 +86,14 @@ def read_px4(
         cameras=cameras,
         camera=camera,
         facts={},
-        assumed=(FIXED if topic is None else GIMBAL.format(topic=topic), LEVER),
+        assumed=(FIXED if topic is None else GIMBAL.format(topic=topic), LEVER, *([CORRUPT] if is_corrupt else [])),
         time_is_utc=True,
         of_body=topic is None,
     )
 
 
-def _topics(path: str | os.PathLike[str]) -> dict[str, dict[str, np.ndarray]]:
-    """Columns of the first instance of each topic."""
+def _topics(path: str | os.PathLike[str]) -> tuple[dict[str, dict[str, np.ndarray]], bool]:
+    """(columns of the first instance of each topic, whether parts of the file could not be read)."""
     ULog, error_classes = _pyulog()
     check_regular(path, TableError)
     silent = contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO())
@@ -102,7 +103,7 @@ def _topics(path: str | os.PathLike[str]) -> dict[str, dict[str, np.ndarray]]:
     except error_classes as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise TableError(f"{path}: damaged, or no log of PX4: {reason}.") from error
-    return {one.name: one.data for one in reversed(log.data_list)}
+    return {one.name: one.data for one in reversed(log.data_list)}, bool(log.file_corruption)
 
 
 def _pyulog() -> tuple[Any, tuple[type[Exception], ...]]:

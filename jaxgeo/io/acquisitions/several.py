@@ -221,7 +221,10 @@ def _in_folder(name: str) -> tuple[list[str], list[str]]:
     if images:
         return images, [str(one) for one in inside if one.is_file() and str(one) not in set(images)]
     below = next((one for one in inside if one.is_dir() and _has_images(one)), None)
-    hint = f" Images are in the folder {below}: name that." if below is not None else ""
+    other = next((one for one in inside if one.is_file()), None)
+    hint = f" Images are in the folder {below}: name that." if below is not None else (
+        f" Other files in it are read by their own names, such as {other}." if other is not None else ""
+    )  # fmt: skip
     raise ImageError(f"{name}: there are no images in this folder ({', '.join(ENDINGS)}).{hint}")
 
 

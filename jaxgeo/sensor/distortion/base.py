@@ -57,6 +57,18 @@ class AbstractDistortion(Record):
         """The same lens with other coefficients, in the order of `names`. Raises `ValueError` for a wrong number."""
 
 
+class AbstractFormula(AbstractDistortion):
+    """A distortion whose coefficients are its fields, in the order of `names`."""
+
+    def coefficients(self) -> Float[Array, "... n"]:
+        lens = as_float64(self, "coefficients")
+        return jnp.stack(jnp.broadcast_arrays(*(getattr(lens, name) for name in self.names)), axis=-1)
+
+    def with_coefficients(self, vector: Any) -> Self:
+        vector = as_coefficients(vector, type(self))
+        return type(self)(*(vector[..., k] for k in range(len(self.names))))
+
+
 class NoDistortion(AbstractDistortion):
     """Lens without distortion."""
 

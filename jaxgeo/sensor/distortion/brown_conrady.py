@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxgeo._typing import Flag, Scalar, ScalarField, StatusCode
 from jaxgeo.sensor._newton import PlanePoint, determinant, solve_2d
 from jaxgeo.sensor.distortion._implicit import inverse_at
 from jaxgeo.sensor.distortion._segment import segment
-from jaxgeo.sensor.distortion.base import AbstractDistortion, Self, as_coefficients
+from jaxgeo.sensor.distortion.base import AbstractFormula
 from jaxgeo.status import Status, status_where
 
 # Longest step of the inverse; beyond radius 1, times the radius. With steps three times as long, one point in 200 of
@@ -24,7 +24,7 @@ MAX_STEPS = 80  # Newton needs 4 to 8; near a fold the distance to it halves at 
 FOLD = 1e-3  # determinant below which an iteration without a root counts as stopped by a fold (1 at the centre)
 
 
-class BrownConrady(AbstractDistortion):
+class BrownConrady(AbstractFormula):
     """Radial (rational) and tangential distortion with OpenCV's formula and order of coefficients, all unitless.
 
     With r2 = x2 + y2, radial = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6):
@@ -47,14 +47,6 @@ class BrownConrady(AbstractDistortion):
     k6: ScalarField = 0.0
 
     names: ClassVar = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-
-    def coefficients(self) -> Float[Array, "... n"]:
-        lens = as_float64(self, "coefficients")
-        return jnp.stack(jnp.broadcast_arrays(*(getattr(lens, name) for name in self.names)), axis=-1)
-
-    def with_coefficients(self, vector: Any) -> Self:
-        vector = as_coefficients(vector, type(self))
-        return type(self)(*(vector[..., k] for k in range(len(self.names))))
 
     def distort(self, ideal: PlanePoint) -> PlanePoint:
         x, y = ideal

@@ -14,7 +14,7 @@ from jaxgeo._typing import Flag, Scalar, ScalarField, StatusCode
 from jaxgeo.sensor._newton import PlanePoint
 from jaxgeo.sensor.distortion._implicit import inverse_at
 from jaxgeo.sensor.distortion._segment import segment
-from jaxgeo.sensor.distortion.base import AbstractDistortion, Self, as_coefficients
+from jaxgeo.sensor.distortion.base import AbstractFormula
 from jaxgeo.status import Status, status_where
 
 NEAR = 1e-4  # squared tangent below which arctan(r) / r is a series: its error is below 1e-17 there
@@ -24,7 +24,7 @@ STEPS = 64  # of the angle, in which the branch of the centre is followed
 HALVINGS = 52  # of one of them
 
 
-class Fisheye(AbstractDistortion):
+class Fisheye(AbstractFormula):
     """Fisheye distortion with OpenCV's formula and order of coefficients, all unitless: pixels are by the angle.
 
     With r the tangent of the off-axis angle t = arctan(r), and t' = t (1 + k1 t2 + k2 t4 + k3 t6 + k4 t8):
@@ -45,14 +45,6 @@ class Fisheye(AbstractDistortion):
     k4: ScalarField = 0.0
 
     names: ClassVar = ("k1", "k2", "k3", "k4")
-
-    def coefficients(self) -> Float[Array, "... n"]:
-        lens = as_float64(self, "coefficients")
-        return jnp.stack(jnp.broadcast_arrays(*(getattr(lens, name) for name in self.names)), axis=-1)
-
-    def with_coefficients(self, vector: Any) -> Self:
-        vector = as_coefficients(vector, type(self))
-        return type(self)(*(vector[..., k] for k in range(len(self.names))))
 
     def distort(self, ideal: PlanePoint) -> PlanePoint:
         r2 = jnp.sum(ideal**2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pathlib
 import re
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,23 @@ def _segments(content: bytes) -> list[bytes]:
 
 def _xmp(content: bytes) -> dict[str, str]:
     """The tags of DJI, by their local names; the first where one is there twice."""
+    found: dict[str, str] = {}
+    for uri, prefix, local, value in _xmp_tags(content):
+        if uri.rstrip("/") == DJI or prefix == "drone-dji":
+            found.setdefault(local, value)
+    return found
+
+
+def xmp_texts(content: bytes) -> dict[str, str]:
+    """All tags with their prefixes; the first where one is there twice."""
+    found: dict[str, str] = {}
+    for _, prefix, local, value in _xmp_tags(content):
+        found.setdefault(f"{prefix}:{local}", value)
+    return found
+
+
+def _xmp_tags(content: bytes) -> Iterator[tuple[str, str, str, str]]:
+    """(address, prefix, name, value) of each tag of the packet."""
     from lxml import etree
 
     if content[:2] == b"\xff\xd8":
@@ -75,18 +93,15 @@ def _xmp(content: bytes) -> dict[str, str]:
         content = packets[-1] if packets else b""
     start, end = content.find(b"<x:xmpmeta"), content.rfind(b"</x:xmpmeta>")
     if start < 0 or end < 0:
-        return {}
+        return
     packet = re.sub(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]", b" ", content[start : end + 12])
-    found: dict[str, str] = {}
     parser = etree.XMLParser(resolve_entities=False, huge_tree=True, recover=True)  # names of spaces may be no URIs
     for element in etree.fromstring(packet, parser).iter(etree.Element):
         prefixes = {uri: prefix for prefix, uri in element.nsmap.items()}
         texts = [(element.tag, element.text or "")] if not len(element) else []
         for key, value in [*element.attrib.items(), *texts]:
             uri, _, local = key.removeprefix("{").rpartition("}")
-            if uri.rstrip("/") == DJI or prefixes.get(uri) == "drone-dji":
-                found.setdefault(local, value)
-    return found
+            yield uri, prefixes.get(uri) or "", local, value
 
 
 def _tiff(content: bytes) -> tuple[bytes, str]:

@@ -34,7 +34,10 @@ OPENSFM_LENSES = {
     "simple_radial": ("k1",),
     "radial": ("k1", "k2"),
     "brown": ("k1", "k2", "p1", "p2", "k3"),
+    "fisheye": ("k1", "k2"),
+    "fisheye_opencv": ("k1", "k2", "k3", "k4"),
 }
+ONE_FOCAL = ("perspective", "fisheye")  # the others have a principal point too
 
 
 def same_camera(camera: Any, size: Any, focal: Any, principal: Any, lens: Mapping[str, Any]) -> None:
@@ -51,8 +54,8 @@ def _opensfm_camera(camera: Any, stated: Mapping[str, Any]) -> None:
     kind = stated.get("projection_type", "perspective")
     width, height = stated["width"], stated["height"]
     longer = max(width, height)
-    names = ("focal_x", "focal_y") if kind == "brown" else ("focal", "focal")
-    offset = [stated.get(name, 0.0) if kind == "brown" else 0.0 for name in ("c_x", "c_y")]
+    names = ("focal", "focal") if kind in ONE_FOCAL else ("focal_x", "focal_y")
+    offset = [0.0 if kind in ONE_FOCAL else stated.get(name, 0.0) for name in ("c_x", "c_y")]
     principal = np.array([width - 1.0, height - 1.0]) / 2.0 + longer * np.array(offset)
     lens = {name: stated.get(name, 0.0) for name in OPENSFM_LENSES[kind]}
     same_camera(camera, (width, height), [longer * stated[name] for name in names], principal, lens)
@@ -109,7 +112,15 @@ def shots_of_opensfm(path: pathlib.Path, found: Any) -> None:
         [_R_ecef_from_enu(*at) for at in zip(np.atleast_1d(position.lat), np.atleast_1d(position.lon), strict=True)]
     )
     flip = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    _camera_of_first(found, stated)
     same_attitude(found.shots.pose, flip @ R_local.transpose(0, 2, 1) @ R_ecef_from_enu @ R)
+
+
+def _camera_of_first(found: Any, stated: Mapping[str, Any]) -> None:
+    import jax
+
+    name = next(iter(stated["shots"].values()))["camera"]
+    _opensfm_camera(jax.tree.map(lambda leaf: np.asarray(leaf)[0], found.sensor.camera), stated["cameras"][name])
 
 
 def _R_ecef_from_enu(lat: Any, lon: Any) -> np.ndarray:

@@ -66,6 +66,7 @@ def any_of(readings: Iterator[Any], check: Callable[[Any], None]) -> None:
 def tables(path: pathlib.Path) -> Iterator[Rows]:
     """Every reading of a file as rows by column: each separator, quotes, header in a comment or not, decimal commas."""
     lines = re.split(r"\r\n|\r|\n", decoded(path.read_bytes()))
+    lines = ["" if re.fullmatch(r'"?sep=."?', line.strip(" "), re.IGNORECASE) else line for line in lines]
     headers = [line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#")]
     body = ["" if line.lstrip().startswith("#") else line for line in lines]
     for separator, quote in itertools.product(SEPARATORS, "\"'"):
