@@ -12,7 +12,8 @@ import zipfile
 
 PACKAGE = "jaxgeo"
 WHOLE = (".ci", ".github", "benchmarks", "docs", "notebooks", "tests", "tools", PACKAGE)  # folders of the sdist
-FILES = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "SECURITY.md", "mkdocs.yml", "pyproject.toml")
+META = ("CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "LICENSE", "README.md")
+FILES = (*META, ".pre-commit-config.yaml", "Containerfile", "mkdocs.yml", "pyproject.toml")
 
 
 def files_of(source: pathlib.Path, *folders: str) -> set[str]:
