@@ -23,7 +23,7 @@ import pytest
 
 import jaxgeo
 from jaxgeo._record import Record
-from jaxgeo.demo import Picture, scene_file
+from jaxgeo.demo import Making, Picture, scene_file
 from jaxgeo.io import (
     DemCache,
     DemError,
@@ -99,7 +99,7 @@ def filled(cls: type) -> Any:
 
 
 SPECIAL = {DemCache, DemFiles, OrthoWriter, Rectifier}  # which have tests of their own below
-OF_A_PROCESS = {Picture, ViewServer}  # hold a figure of matplotlib, a socket
+OF_A_PROCESS = {Making, Picture, ViewServer}  # hold threads, a figure of matplotlib, a socket
 
 
 def test_what_public_functions_give_loses_no_digit() -> None:

@@ -254,7 +254,7 @@ def _obstacle(diagnostics: Diagnostics, fails: float, jumps: float) -> str | Non
         where = f"{figure(off)} m from the fix" if math.isfinite(off) else "nowhere near the fix"
         return f"The terrain surface sampled from above lies {where}, so the ground at the fix is unknown"
     if fails + jumps > 100.0 * FEW and fails >= jumps:
-        return f"{figure(fails, 2)} % of the perturbed lines of sight look behind the nadir, or meet no known ground"
+        return f"{figure(fails, 2)} % of the perturbed lines of sight meet no known ground ahead of the camera"
     if fails + jumps > 100.0 * FEW:
         clearance = float(diagnostics.clearance)
         other = f"hit a nearer or farther slope (first at {figure(clearance, 2)} sigma)"

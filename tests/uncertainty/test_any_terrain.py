@@ -120,7 +120,7 @@ REASONS = [
     (
         {"fails": 0.3},
         Method.samples,
-        "30 % of the perturbed lines of sight look behind the nadir, or meet no known ground",
+        "30 % of the perturbed lines of sight meet no known ground ahead of the camera",
     ),
     ({"known": 0.75}, Method.samples, "25 % of the ground in the footprint is unknown"),
     ({"known": math.nan}, Method.samples, "ground in the footprint is unknown"),
