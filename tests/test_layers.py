@@ -69,6 +69,7 @@ STATIC_NUMPY = {
     ("jaxgeo/_arguments.py", "thrown"): "is called with throw=True only, which check_throw refuses for traced values",
     ("jaxgeo/_compile.py", "Batches._found"): "runs a program on the values of a vmap that is called directly",
     ("jaxgeo/demo/scene.py", "_middle"): "uses the image size, static fields of the camera",
+    ("jaxgeo/rotations.py", "_product_of_turns"): "uses NumPy where `by_numpy_if_known` passes it",
     ("jaxgeo/sensor/camera.py", "_array"): "converts the caller's lists and tuples; arrays pass unchanged",
     ("jaxgeo/sensor/pointing.py", "out_of_range"): "writes an error message, after `concrete` gave the status",
     ("jaxgeo/sensor/pointing.py", "_named"): "the same",
