@@ -191,8 +191,11 @@ def _pymavlink() -> tuple[Any, Any]:
     class Binary(DFReader.DFReader_binary):
         """The reader with its index made in Python, which takes as long; the compiled one prints past `sys.stderr`."""
 
-        def init_arrays_fast(self, progress_callback: Any = None) -> None:
+        def init_arrays(self, progress_callback: Any = None) -> None:
             self.formats = _Formats(self.formats)
+            super().init_arrays(progress_callback)
+
+        def init_arrays_fast(self, progress_callback: Any = None) -> None:
             self.init_arrays(progress_callback)
 
     return DFReader.DFReader_text, Binary
