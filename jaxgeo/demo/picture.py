@@ -8,6 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from jaxgeo.demo.scene import VIEW, Demo, Seen, sampled
+from jaxgeo.earth._on_host import normals_of
 from jaxgeo.sensor import FrameCamera
 
 TYPE: dict[Any, Any] = {
@@ -76,9 +77,8 @@ def _draw_view(demo: Seen, ax: Any) -> None:
     camera = demo.sensor.camera
     assert isinstance(camera, FrameCamera)
     relief = plot.shaded_relief(demo.dem)[..., :3]
-    lat, lon = np.ravel(demo.view.position.lat), np.ravel(demo.view.position.lon)
-    normals = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-    rowcol = places_of(demo.dem, normals).reshape(*VIEW, 2)
+    seen = demo.view.position
+    rowcol = places_of(demo.dem, normals_of(np.ravel(seen.lat), np.ravel(seen.lon))).reshape(*VIEW, 2)
     found = np.all(np.isfinite(rowcol), axis=-1)
     image = np.where(found[..., None], sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
     distance = np.asarray(demo.view.slant_range)

@@ -14,6 +14,7 @@ from jaxgeo._compile import quick_filter_jit
 from jaxgeo._locate import FIRST_HIT, locate
 from jaxgeo._record import Record
 from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth._on_host import R_ecef_from_enu_of, ecef_of, normals_of
 from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
@@ -157,8 +158,7 @@ def _nominal(fix: Fix, sight: Sight, dem: Dem) -> NominalFix:
     """What the accuracy of a fix starts from."""
     assert isinstance(dem.grid, GeographicGrid)
     lat, lon = float(fix.position.lat), float(fix.position.lon)
-    up, east = _normal(lat, lon), np.array([-np.sin(lon), np.cos(lon), 0.0])
-    R_ecef_from_enu = np.stack([east, np.cross(up, east), up], axis=1)
+    R_ecef_from_enu = R_ecef_from_enu_of(lat, lon)
     cell = np.floor(dem.grid.places_of(np.array([[lon, lat]]))[0]).astype(np.int32)
     direction = (np.asarray(fix.ecef) - sight.centre) / np.asarray(fix.slant_range)
     found = (fix, fix.ecef, fix.slant_range, cell, R_ecef_from_enu.T @ direction, R_ecef_from_enu)
@@ -206,7 +206,7 @@ def _posts_in_image(camera: FrameCamera, sight: Sight, dem: Dem) -> tuple[np.nda
     assert isinstance(dem.grid, GeographicGrid)
     posts = np.indices(np.shape(dem.posts)).reshape(2, -1).T
     lon, lat = dem.grid.lonlat_at(posts).T
-    p_ecef = _ecef(lat, lon, np.asarray(dem.posts, np.float64).ravel())
+    p_ecef = ecef_of(normals_of(lat, lon), np.asarray(dem.posts, np.float64).ravel())
     x, y, z = ((p_ecef - sight.centre) @ sight.R_ecef_from_camera).T
     uv = np.asarray(camera.principal_px) + np.asarray(camera.focal_px) * np.stack([x / z, y / z], axis=1)
     inside = (z > 0.0) & np.all((uv >= -0.5) & (uv <= np.array([camera.width, camera.height]) - 0.5), axis=1)
@@ -220,25 +220,14 @@ def _section(axis: Axis, dem: Dem) -> tuple[np.ndarray, ...]:
     rowcol = dem.grid.places_of(np.stack([lon, lat], axis=1))
     known = np.all((rowcol >= 0.0) & (rowcol <= np.array(np.shape(dem.posts)) - 1.0), axis=1)
     ground = sampled(np.asarray(dem.posts, np.float64)[..., None], np.where(known[:, None], rowcol, 0.0))[:, 0]
-    on_ellipsoid = _ecef(lat, lon, np.zeros(len(height)))
+    normals = normals_of(lat, lon)
+    on_ellipsoid = ecef_of(normals, 0.0)
     down = (on_ellipsoid[0] - axis.sight.centre) / height[0]
-    to_ground = _ecef(lat, lon, ground) - axis.sight.centre
+    to_ground = ecef_of(normals, ground) - axis.sight.centre
     off_nadir = np.arccos(np.clip(to_ground @ down / np.linalg.norm(to_ground, axis=1), -1.0, 1.0))
     off_nadir, ground = np.where(known, off_nadir, np.nan), np.where(known, ground, np.nan)
     distance = np.linalg.norm(on_ellipsoid - on_ellipsoid[0], axis=1)
     return distance, height, ground, off_nadir < np.fmax.accumulate(off_nadir) - 1e-6
-
-
-def _ecef(lat: np.ndarray, lon: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """ECEF coordinates (n, 3) in m."""
-    normal = _normal(lat, lon)
-    N = WGS84.a / np.sqrt(1.0 - WGS84.e2 * normal[:, 2:] ** 2)
-    return (N * [1.0, 1.0, 1.0 - WGS84.e2] + height[:, None]) * normal
-
-
-def _normal(lat: Any, lon: Any) -> np.ndarray:
-    """Normal of the ellipsoid (..., 3) at latitudes and longitudes in rad."""
-    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def _middle(camera: AbstractCamera) -> np.ndarray:

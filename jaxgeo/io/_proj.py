@@ -14,6 +14,7 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import Transformer, TransformerGroup
 
 from jaxgeo._record import portable
+from jaxgeo.earth._on_host import normals_of
 from jaxgeo.io._quietly import quietly
 
 DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
@@ -116,8 +117,7 @@ def how_to_get(missing: list[tuple[str, str, str]]) -> str:
 
 def unit_normals(lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
     """Normals of WGS 84, (..., 3), at longitudes and latitudes in deg."""
-    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
-    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    return normals_of(np.radians(lat_deg), np.radians(lon_deg))
 
 
 def lonlat_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxgeo._checks import check_is
-from jaxgeo.earth import WGS84
+from jaxgeo.earth._on_host import R_ecef_from_enu_of, ecef_of, normals_of
 from jaxgeo.fix import Fix
 from jaxgeo.plot.legends import keyed, legend_of
 from jaxgeo.plot.maps import normals_at, places_of, slopes
@@ -241,7 +241,7 @@ def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarr
 
     Voids are NaN. Raises `ValueError` where no post is within reach.
     """
-    below = _normal_at(float(fix.position.lat), float(fix.position.lon))
+    below = normals_of(float(fix.position.lat), float(fix.position.lon))
     rowcol = places_of(dem, below[None, :])[0]
     cells = np.ceil(1.5 * reach / np.asarray(dem.grid.cell_size())).astype(int) + 1
     extent = np.asarray(dem.extent)
@@ -264,15 +264,8 @@ def _offsets(dem: Dem, fix: Fix, row: np.ndarray, col: np.ndarray) -> np.ndarray
     """East, north, up of posts from a fix, m; voids are placed at the fix's height."""
     normals = normals_at(dem, np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1).reshape(-1, 2).astype(float))
     lat, lon, height = (float(x) for x in (fix.position.lat, fix.position.lon, fix.position.height))
-    east = np.array([-np.sin(lon), np.cos(lon), 0.0])
-    up = _normal_at(lat, lon)
-    on_ellipsoid = WGS84.a / np.sqrt(1.0 - WGS84.e2 * normals[:, 2:] ** 2) * normals * [1.0, 1.0, 1.0 - WGS84.e2]
-    offsets = on_ellipsoid + height * normals - np.asarray(fix.ecef)
-    return (offsets @ np.stack([east, np.cross(up, east), up], axis=1)).reshape(len(row), len(col), 3)
-
-
-def _normal_at(lat: float, lon: float) -> np.ndarray:
-    return np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    offsets = (ecef_of(normals, height) - np.asarray(fix.ecef)) @ R_ecef_from_enu_of(lat, lon)
+    return offsets.reshape(len(row), len(col), 3)
 
 
 def _between(posts: np.ndarray, finer: int) -> np.ndarray:

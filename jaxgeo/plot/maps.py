@@ -18,6 +18,7 @@ from matplotlib.transforms import Affine2D
 from jaxgeo._checks import check_is
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth._on_host import normals_of
 from jaxgeo.fix import Fix
 from jaxgeo.plot.close_up import Posts, interpolated
 from jaxgeo.plot.legends import keyed
@@ -60,7 +61,7 @@ def normals_at(dem: Dem, rowcol: np.ndarray) -> np.ndarray:
     """Ellipsoid normals (n, 3) at places (n, 2) on the grid of a terrain."""
     if isinstance(dem.grid, GeographicGrid):  # compiles nothing
         lon, lat = dem.grid.lonlat_at(rowcol).T
-        return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+        return normals_of(lat, lon)
     return _in_blocks(_normals_of, dem.grid, rowcol)
 
 
