@@ -16,7 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
 from jaxgeo.io._beside import MAGICS, check_beside, check_overviews_named, head_of
-from jaxgeo.io._gdal import GDAL_ERRORS, options
+from jaxgeo.io._gdal import GDAL_ERRORS, header_losses, options
 from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._quietly import quietly
 from jaxgeo.io._regular import check_regular
@@ -56,13 +56,15 @@ def open_raster(
     given = _checked(name, reach, error)
     chosen = ["VRT"] if _is_vrt(name, error) else None if reach.remote else list(drivers)
     more = {RAW_VALUES: "ALL"} if reach.outside else {}
-    with options(**more), quietly(NotGeoreferencedWarning):
+    with options(**more), quietly(NotGeoreferencedWarning), header_losses() as lost:
         try:
             data = DatasetReader(given, driver=chosen)
         except GDAL_ERRORS as reason:
             raise error(f"{name}: {_why(name, reach, error, what)}{reason}{_way_out(name, reach, error)}") from reason
         with contextlib.ExitStack() as until_checked:
             until_checked.enter_context(data)
+            if lost:
+                raise error(f"{name}: the file is damaged or cut short: {lost[0]}.")
             _check_opened(name, data, reach, error)
             until_checked.pop_all()
         return data

@@ -24,7 +24,7 @@ import pytest
 import rasterio
 from rasterio.transform import Affine
 from rasterio.windows import Window
-from support.rasters import write
+from support.rasters import lose_tag, write
 from support.tile_server import Served, heights_at, plane_at, serving, write_archive, write_geoid, write_tile
 
 import jaxgeo
@@ -548,6 +548,22 @@ def test_threads_share_a_cache(server: Served, cache: DemCache) -> None:
         tasks = [pool.submit(fetched, server, again(cache), bounds=area, vertical_datum="ellipsoid") for area in areas]
         found = [task.result() for task in tasks]
     assert all(pathlib.Path(file).is_file() for one in found for file in one.files)
+
+
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+@pytest.mark.parametrize("tag", [33550, 33922, 34735], ids=["scale", "place", "CRS"])
+def test_a_tile_whose_header_is_not_read_whole_is_refused(tmp_path: pathlib.Path, cache: DemCache, tag: int) -> None:
+    """GDAL warns, and goes on; nothing of it is kept."""
+    write_archive(tmp_path / "served", "copernicus", [CELL], posts=64)
+    write_geoid(tmp_path / "served")
+    (path,) = (tmp_path / "served").rglob(NAME)
+    whole = path.read_bytes()
+    lose_tag(path, tag)
+    with serving(tmp_path / "served") as served:
+        with pytest.raises(ArchiveError, match="was not read whole: its tag Geo"):
+            fetched(served, cache)
+        path.write_bytes(whole)
+        assert fetched(served, cache).files
 
 
 # Lines of sight

@@ -9,7 +9,8 @@ import zlib
 import numpy as np
 import pytest
 import rasterio
-from support.rasters import DEGREE, hills, write
+from rasterio.transform import Affine
+from support.rasters import DEGREE, hills, lose_tag, write
 
 from jaxgeo.io import DemError, ImageError, read_dem, read_image
 
@@ -146,3 +147,14 @@ def test_an_srtm_tile_in_its_archive_is_read_unless_it_is_damaged(tmp_path: path
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
         with pytest.raises(ImageError, match=r"hgt\.zip"):
             read_image(path)
+
+
+@pytest.mark.parametrize("tag", [33550, 33922, 34735, 42113], ids=["scale", "place", "CRS", "nodata"])
+def test_a_dem_whose_header_is_not_read_whole_is_refused(tmp_path: pathlib.Path, tag: int) -> None:
+    """GDAL warns, and goes on: without a place, or with voids as heights of -9999 m."""
+    path = write(
+        tmp_path / "dem.tif", hills((64, 64)), crs="EPSG:32633", affine=Affine(30, 0, 5e5, 0, -30, 5e6), nodata=-9999.0
+    )
+    lose_tag(path, tag)
+    with pytest.raises(DemError, match="damaged or cut short: its tag G"):
+        read_dem(path, vertical_datum="ellipsoid")

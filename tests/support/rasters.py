@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import struct
 from typing import Any
 
 import numpy as np
@@ -95,3 +96,14 @@ def gdalbuildvrt(path: pathlib.Path, tiles: list[pathlib.Path]) -> pathlib.Path:
         f'<VRTRasterBand dataType="{kinds[found[0][3]]}" band="1">{tag}{"".join(sources)}</VRTRasterBand></VRTDataset>'
     )
     return path
+
+
+def lose_tag(path: pathlib.Path, tag: int) -> None:
+    """Let a tag of a (little-endian, classic) TIFF lie behind the end of the file."""
+    content = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", content, 4)
+    (count,) = struct.unpack_from("<H", content, first)
+    entries = [first + 2 + 12 * k for k in range(count)]
+    (found,) = [at for at in entries if struct.unpack_from("<H", content, at)[0] == tag]
+    struct.pack_into("<I", content, found + 8, len(content) + 1000)
+    path.write_bytes(content)

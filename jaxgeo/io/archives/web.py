@@ -7,15 +7,17 @@ import dataclasses
 import http.client
 import math
 import os
+import threading
 import time
 import urllib.error
 import urllib.request
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 from rasterio.io import DatasetReader
 
-from jaxgeo.io._gdal import GDAL_ERRORS, options
+from jaxgeo.io._gdal import GDAL_ERRORS, header_losses, options
 from jaxgeo.io.archives.errors import ArchiveError, Unreachable
 from jaxgeo.io.reach import is_remote
 
@@ -31,6 +33,8 @@ NO_HEAD = (403, 405, 501)  # answers of servers that give headers only with cont
 PIECE = 1 << 16
 LARGEST = 500_000_000  # bytes of a file read as a whole
 DRIVERS = ["GTiff", "SRTMHGT"]
+_guard = threading.Lock()
+_locks: weakref.WeakValueDictionary[str, Any] = weakref.WeakValueDictionary()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,11 +118,22 @@ class Web:
 
     @contextlib.contextmanager
     def raster(self, url: str) -> Iterator[DatasetReader]:
-        """A raster, read by range requests. Raises `Unreachable` if opening or reading fails."""
+        """A raster, read by range requests. Raises `Unreachable` if opening or reading fails.
+
+        Threads take turns at one address: GDAL keeps what it read of an address for all of them, and drops it when one
+        of them closes its dataset, at which another one that is reading finds nothing.
+        """
         name = f"/vsicurl/{url}" if is_remote(url) else url
         name = f"/vsigzip/{name}" if name.endswith(".gz") else name
         try:
-            with options(**self._of_gdal()), DatasetReader(name, driver=DRIVERS) as data:
+            with (
+                _lock_of(url),
+                header_losses() as lost,
+                options(**self._of_gdal()),
+                DatasetReader(name, driver=DRIVERS) as data,
+            ):
+                if lost:
+                    raise Unreachable(f"{url}: it was not read whole: {lost[0]}")
                 yield data
         except GDAL_ERRORS as error:
             cause = " ".join(f"{error.__cause__ or error}".split()).rstrip(".")
@@ -182,3 +197,8 @@ class Web:
                 what = "" if isinstance(error, http.client.IncompleteRead) else f": {error}"
                 reason = f"the connection was cut{what}"
         raise Unreachable(f"{url}: {reason}")
+
+
+def _lock_of(url: str) -> contextlib.AbstractContextManager[Any]:
+    with _guard:
+        return _locks.setdefault(url, threading.Lock())
