@@ -17,6 +17,7 @@ from __future__ import annotations
 from jaxgeo import _command
 
 if _command.is_command():  # signals are handled before JAX is imported
+    _command.collect_later()
     _command.end_on_interruption()
     from jaxgeo import _interruption
 

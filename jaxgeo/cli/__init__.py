@@ -20,6 +20,7 @@ from typing import Annotated
 
 import typer
 
+from jaxgeo import _command
 from jaxgeo._destination import UNWRITABLE
 from jaxgeo._interruption import run
 from jaxgeo.cli._commands import Commands
@@ -111,4 +112,5 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=UNWRITABLE)  # a name the terminal cannot encode must not fail
+    _command.collect_again()
     run(app)
