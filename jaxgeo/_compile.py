@@ -25,6 +25,7 @@ from jaxgeo._program_store import Programs, is_debugging
 
 ROWS = 1024  # items of a block under a `vmap` that is called directly
 MOST_ROWS = 16 * ROWS  # more items are a program of their own, which is quicker to run
+MOST_SMALL = 1 << 20
 MOST_NUMBERS = 64  # per argument and item: with a height field for each item the older emitter does not finish
 T = TypeVar("T", bound=Callable[..., Any])
 
@@ -138,6 +139,19 @@ def is_direct() -> bool:
 def batch_filter_jit(function: T) -> T:
     """`equinox.filter_jit` for batches that are over in a second: called directly they compile in half the time."""
     return _quick(function, eqx.filter_jit, batch_options)
+
+
+def sized_filter_jit(function: T) -> T:
+    """`batch_filter_jit` for arguments of up to `MOST_SMALL` numbers each, with more `equinox.filter_jit`: by then the
+    program runs longer than it compiles."""
+    small, large = batch_filter_jit(function), eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        is_small = all(np.size(leaf) <= MOST_SMALL for leaf in jax.tree.leaves((args, options)) if eqx.is_array(leaf))
+        return (small if is_small else large)(*args, **options)
+
+    return call  # pyright: ignore
 
 
 def long_run_jit(function: T) -> T:

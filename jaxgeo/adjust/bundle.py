@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._record import portable
 from jaxgeo._renamed import renamed_argument
 from jaxgeo.adjust.adjustment import Adjustment
@@ -218,12 +219,12 @@ def _in_parts(block: Block) -> str:
     return f" No point joins the {len(parts)} parts of the block ({named}{'; ...' if len(parts) > 3 else ''})."
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _unheld(problem: Any, values: Any) -> Any:
     return unheld(problem, values)
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _observed_points(problem: Any, values: Any) -> list[Any]:
     """Derivatives of control and terrain by each point (rows, 4, 3), with their weights and with unit weights."""
     observed = observing(problem, values)
@@ -231,7 +232,7 @@ def _observed_points(problem: Any, values: Any) -> list[Any]:
     return [jnp.concatenate([x.control, x.terrain[:, None]], axis=1) for x in each]
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _datum(problem: Any, values: Any, rows: Any) -> Datum:
     z, x = motions(problem, values)
     return Datum(jnp.einsum("dm,mnc->dnc", rows, z), jnp.einsum("dm,mir->dir", rows, x))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust.arrays import Known, Problem
@@ -73,12 +73,12 @@ def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equation
     return _normal(problem, values, loss, linear, _by_image(problem, linear))
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[Array, ...]:
     return image_points(problem, values, loss)
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _by_image(problem: Problem, linear: tuple[Array, ...]) -> list[Float[Array, "rows width columns"]]:
     """Derivatives by pose and lens, and residuals, of the measurements of each image, for both axes."""
     residual, _, by_pose, by_lens, _ = linear
@@ -89,7 +89,7 @@ def _by_image(problem: Problem, linear: tuple[Array, ...]) -> list[Float[Array, 
     return found
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _normal(
     problem: Problem, values: Values, loss: AbstractLoss, linear: tuple[Array, ...], by_image: list[Array]
 ) -> Equations:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo.adjust.block import Block
 from jaxgeo.sensor import FrameCamera
 
@@ -78,6 +78,6 @@ def camera_rays(camera: FrameCamera, uv: np.ndarray) -> np.ndarray:
     return np.concatenate([np.asarray(_rays(camera, jnp.asarray(part, jnp.float64))) for part in parts])[: len(uv)]
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _rays(camera: FrameCamera, uv: jax.Array) -> jax.Array:
     return jax.vmap(camera.ray)(uv)[0]

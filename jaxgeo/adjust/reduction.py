@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
@@ -34,7 +34,7 @@ class Reduced(Record):
     shared: Float[Array, " s"]
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
     """Factors of the points' normal matrices, damped by `damping` times `scales_of_points`."""
     V = equations.points + damping * scales_of_points(problem, equations)
@@ -57,7 +57,7 @@ def scales_of_points(problem: Problem, equations: Equations) -> Float[Array, "3 
     return equations.points * jnp.where(held[None, None], 1.0, jnp.eye(3)[:, :, None])
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
     """The reduced system, its diagonal also increased by the share `damping`, and one where columns are fixed."""
     band, c, s = problem.layout.band, problem.of_image, problem.shared
@@ -134,7 +134,7 @@ def rows_of(problem: Problem, group: Group, points: Eliminated) -> Rows:
     return Rows(*(jnp.moveaxis(x, 1, 0) for x in (images, lenses, forward)))
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def gather(problem: Problem, points: Eliminated) -> tuple[Rows, ...]:
     """Rows of all groups, as a separate program: fused with its neighbours it takes several times as long, as XLA
     then recomputes sources and indices for each gathered number."""

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._blas_threads import one_thread
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._renamed import renamed_argument, warn_renamed
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust.arrays import Problem, step_of
@@ -152,7 +152,7 @@ def _trial(
     return _stepped(problem, values, equations, (points, system), loss, damping)
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _stepped(
     problem: Problem,
     values: Values,
@@ -182,7 +182,7 @@ def predicted_by(
     return 0.5 * sum((jnp.sum(x * (damping * d - g)) for x, g, d in pairs), start=jnp.zeros(()))
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _stepped_apart(
     problem: Problem,
     values: Values,

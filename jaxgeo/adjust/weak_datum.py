@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
@@ -102,7 +103,7 @@ def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: 
     return motions if are_weak(motions) else None
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def motions_apart(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions:
     """The constrained motions, scaled by the reduced normal equations."""
     observed = observing(problem, values, equations.control_root)
@@ -139,7 +140,7 @@ def are_weak(motions: Motions) -> bool:
     return bool(_any_weak(motions))
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def _any_weak(motions: Motions) -> Array:
     return jnp.any((motions.kept > 0.0) & (jnp.diagonal(motions.weight) < WEAK * motions.of_parts))
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxgeo._accelerator import by_device
-from jaxgeo._compile import batch_filter_jit, long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import project
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Flag, Scalar, StatusCode
@@ -30,7 +30,7 @@ BLOCK = 128  # fixes evaluated at once: about 100 MB
 BLOCK_ACCELERATOR = 1024  # the same on an accelerator: 0.5 GB
 SAME_GROUND = 0.1  # m: largest distance between a cell and the fix of its pixel
 
-linear_radii_of_block = jax.jit(linear_radii)
+linear_radii_of_block = batch_filter_jit(linear_radii)
 
 
 class MapContext(NamedTuple):
@@ -83,7 +83,7 @@ def check_block(block: Any) -> int:
     return int(block)
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def project_cells(lat: Float[Array, " cells"], lon: Float[Array, " cells"], context: MapContext) -> Cell:
     """Cells at ground points, with the pixels that view them if nothing occludes them."""
     return jax.vmap(_project_cell, in_axes=(0, 0, None))(lat, lon, context)
@@ -95,7 +95,7 @@ def cells_of_pixels(uv: Float[Array, "cells 2"], sensor: Sensor) -> Cell:
     return Cell(uv, jax.vmap(sensor.camera.ray)(uv)[1])
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def locate_cells(
     cells: Cell, context: MapContext, search: AbstractSearch
 ) -> tuple[NominalFix, Int8[Array, " cells"], Bool[Array, " cells"]]:
