@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int8
 
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import check_is
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import FIRST_HIT, project
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
@@ -110,7 +110,7 @@ def visible_ground(
     return VisibleGround(places, np.concatenate(codes)[: len(places)], float(spacing))
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _seen_from(
     sensor: Sensor,
     image: Image,

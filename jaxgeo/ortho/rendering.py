@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxgeo._accelerator import by_device
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit, long_run_filter_jit
 from jaxgeo._locate import FIRST_HIT, located_anywhere
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.observation import Exposure, accepts_exposure
@@ -26,6 +27,7 @@ from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 CHUNK, CHUNK_ACCELERATOR = 1024, 2**18  # rays per call: one size, compiled once
+MANY = 4_000_000  # rays; a program that is optimised more repays its compiling from here on
 BILINEAR = Bilinear()
 
 
@@ -99,7 +101,7 @@ def seen_at(
     pixels = Pixels.of(jnp.asarray(reference.values), jnp.asarray(reference.known))
     parts = []
     for part in _chunks(uv):
-        found = _met(inputs, part)
+        found = _met_of(len(uv))(inputs, part)
         parts.append((*_sampled_on(reference.grid, pixels, found, how), found.status))
     value, is_known, code = (
         np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True)
@@ -109,7 +111,7 @@ def seen_at(
 
 def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
     """First terrain hits of pixels; they may lie outside the image."""
-    parts = [_met(inputs, part) for part in _chunks(uv)]
+    parts = [_met_of(len(uv))(inputs, part) for part in _chunks(uv)]
     return Met(*(np.concatenate([np.asarray(x) for x in column])[: len(uv)] for column in zip(*parts, strict=True)))
 
 
@@ -119,7 +121,6 @@ def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
     return [jnp.asarray(padded[k : k + chunk]) for k in range(0, len(padded), chunk)]
 
 
-@long_run_filter_jit
 def _met(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
     """One shared program for all uses, since the terrain search takes long to compile."""
     nowhere = jnp.array([WGS84.a, 0.0, 0.0])
@@ -135,7 +136,15 @@ def _met(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
     return Met(*jax.vmap(one)(uv))
 
 
-@long_run_filter_jit
+_met_short, _met_long = batch_filter_jit(_met), long_run_filter_jit(_met)
+
+
+def _met_of(count: int) -> Callable[[ModelInputs, Any], Met]:
+    """The program for a number of pixels: one that runs faster is worth its time to compile for many."""
+    return _met_long if count > MANY else _met_short
+
+
+@batch_filter_jit
 def _sampled_on(
     grid: AbstractGrid, pixels: Pixels, found: Met, how: AbstractInterpolation
 ) -> tuple[Float[Array, "bands n"], Bool[Array, " n"]]:

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._numerics import all_finite
 from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.adjust.losses import Cauchy, Tukey
@@ -70,7 +71,7 @@ class Solution(NamedTuple):
     status: StatusCode
 
 
-@eqx.filter_jit
+@batch_filter_jit
 def solve(problem: Problem) -> Solution:
     """Orientation update from validated input."""
     factor = problem.prior.factor()

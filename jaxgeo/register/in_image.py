@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.ortho.rendering import met, seen_at
 from jaxgeo.register._equations import on_surface
@@ -108,7 +108,7 @@ def shifts_in_image(inputs: ModelInputs, model: ErrorModel, uv: np.ndarray, fact
     )
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _shifts(inputs: ModelInputs, model: ErrorModel, rows: Float[Array, "n 8"]) -> Shifts:
     """Shifts for rows of a pixel, the ECEF point in m that it sees, its height and its terrain cell."""
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxgeo._checks import require_x64
 from jaxgeo.register.blocks import SIZE, BlockOutcome, Matches, block_shape, cut
-from jaxgeo.register.peaks import Peaks, best_peaks, ellipses, half_widths
+from jaxgeo.register.peaks import Peaks, best_peaks, ellipses, half_widths, joined
 from jaxgeo.register.refinement import TAPS, refine_all
 
 BATCH = 8  # blocks, or candidates, per call
@@ -112,7 +112,7 @@ def _searched(
     found = _no_peaks(len(corners), peaks)
     chosen = np.flatnonzero(outcome == BlockOutcome.matched)
     whitening, extent = ellipses(covariance[chosen], probability)
-    widths = half_widths(extent)
+    widths = joined(half_widths(extent), shape)
     for width in np.unique(widths, axis=0):
         window = (shape[0] + 2 * int(width[0]), shape[1] + 2 * int(width[1]))
         batch = max(1, min(BATCH, CELLS // (window[0] * window[1])))
@@ -120,7 +120,7 @@ def _searched(
         for part in _batches(same, batch):
             blocks = chosen[part]
             here, there = corners[blocks], corners[blocks] - width
-            arrays = [*_cuts(pair[0], pair[1], here, shape), *_cuts(pair[2], pair[3], there, window)]
+            arrays = (*_cuts(pair[0], pair[1], here, shape), *_cuts(pair[2], pair[3], there, window))
             numbers = (jnp.asarray(least_overlap, float), jnp.asarray(separation, float))
             tops = best_peaks(*arrays, jnp.asarray(whitening[part]), *numbers, peaks=peaks)
             for all_of_them, some in zip(found, tops, strict=True):
@@ -170,7 +170,7 @@ def _refined(
     for part in _batches(np.arange(len(block)), BATCH):
         b, k = block[part], peak[part]
         here = corners[b] - TAPS
-        arrays = [*_cuts(pair[0], pair[1], here, wide), *_cuts(pair[2], pair[3], here + found.shift[b, k], wide)]
+        arrays = (*_cuts(pair[0], pair[1], here, wide), *_cuts(pair[2], pair[3], here + found.shift[b, k], wide))
         refined = refine_all(*arrays, jnp.asarray(found.offset[b, k]))
         covariance = np.asarray(refined.covariance) + floor**2 * np.eye(2)
         is_found = np.array(refined.found)
@@ -201,9 +201,10 @@ def _batches(indices: Int[np.ndarray, " m"], size: int) -> list[np.ndarray]:
     return [np.pad(group, (0, size - len(group)), mode="edge") for group in groups]
 
 
-def _cuts(image: Image, known: Known, corners: Corners, shape: tuple[int, int]) -> list[Any]:
+def _cuts(image: Image, known: Known, corners: Corners, shape: tuple[int, int]) -> tuple[Any, Any]:
     """Windows (n, rows, cols) of an image and of its mask."""
-    return [jnp.asarray(np.stack([cut(array, corner, shape) for corner in corners])) for array in (image, known)]
+    of_image, of_mask = (np.stack([cut(array, corner, shape) for corner in corners]) for array in (image, known))
+    return jnp.asarray(of_image), jnp.asarray(of_mask)
 
 
 def _checked_image(image: Any, known: Any, name: str, name_known: str) -> tuple[Image, Known]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Scalar
 from jaxgeo.register.correlation import Block, Known, KnownWindow, Surface, Window, correlation
 
@@ -18,6 +19,8 @@ MARGIN = 1.0  # cells added to the semi-axes of the search ellipse
 HALF_WIDTHS = tuple(
     width for power in range(2, 11) for width in (2**power, 3 * 2 ** (power - 1))
 )  # 4, 6, 8, 12, 16 ...
+
+MOST_ADDED = 4_000_000  # cells that take about half a second
 
 Cells = Float[Array, "shifts_down shifts_across"]
 Inside = Bool[Array, "shifts_down shifts_across"]
@@ -69,7 +72,33 @@ def half_widths(extent: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
     return np.asarray(HALF_WIDTHS)[np.searchsorted(HALF_WIDTHS, np.floor(extent) + 1)]
 
 
-@partial(jax.jit, static_argnames=("peaks",))
+def joined(widths: Int[np.ndarray, "n 2"], shape: tuple[int, int]) -> Int[np.ndarray, "n 2"]:
+    """Half widths of fewer sizes, none smaller than given, for blocks of a shape: two sizes become one where that costs
+    no more cells than are searched while another program compiles."""
+    if not len(widths):
+        return widths
+    sizes, which, counts = np.unique(widths, axis=0, return_inverse=True, return_counts=True)
+    groups = {k: (size, int(count)) for k, (size, count) in enumerate(zip(sizes, counts, strict=True))}
+    group_of = list(range(len(sizes)))
+
+    def cells(size: np.ndarray) -> int:
+        return int(np.prod(np.asarray(shape) + 2 * size))
+
+    def added(pair: tuple[int, int]) -> int:
+        both = cells(np.maximum(*(groups[k][0] for k in pair)))
+        return sum(groups[k][1] * (both - cells(groups[k][0])) for k in pair)
+
+    while len(groups) > 1:
+        i, j = pair = min(itertools.combinations(groups, 2), key=added)
+        if added(pair) > MOST_ADDED:
+            break
+        (size, count), (other, others) = groups.pop(i), groups.pop(j)
+        groups[i] = np.maximum(size, other), count + others
+        group_of = [i if k == j else k for k in group_of]
+    return np.array([groups[k][0] for k in group_of]).reshape(-1, 2)[which.reshape(-1)]
+
+
+@batch_filter_jit
 def best_peaks(
     blocks: Float[Array, "n rows cols"],
     known: Bool[Array, "n rows cols"],

@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import locate
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_enu
@@ -78,7 +78,7 @@ class _Scene(Record):
     air: Atmosphere | None
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _on_ground(scene: _Scene, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
     """(lat, lon, height of the ground, residual there) for rows of a pixel and its residual."""
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.ortho.cells import height_on
@@ -70,7 +70,7 @@ def in_chunks(function: Callable[[Array], Any], places: np.ndarray) -> list[np.n
     return [np.concatenate([np.asarray(x) for x in column])[:count] for column in zip(*parts, strict=True)]
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _shifts(
     inputs: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: Float[Array, "n 2"], reach: Scalar
 ) -> Shifts:
@@ -122,7 +122,7 @@ def window_of(inputs: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -
     return int(first[0]), int(first[1]), int(last[0]), int(last[1])
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _passed(inputs: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
     """(row, col) where lines of sight of a pixel lattice intersect the lowest and the highest height; flags whether
     they do.

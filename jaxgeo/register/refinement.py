@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.register.correlation import Block, Known, standardised
 
@@ -75,7 +76,7 @@ def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: 
     return Refined(d, covariance, _is_found(d, last, covariance, count))
 
 
-@jax.jit
+@batch_filter_jit
 def refine_all(
     T: Float[Array, "n wide_rows wide_cols"],
     known_T: Bool[Array, "n wide_rows wide_cols"],

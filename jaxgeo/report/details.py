@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import locate
 from jaxgeo.coverage.exposure import image_size
 from jaxgeo.earth import WGS84
@@ -197,7 +197,7 @@ def _outline(sensor: Any, shot: Any, terrain: Any, atmosphere: Any) -> np.ndarra
     return np.concatenate([ring, ring[:1]])
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _seen(sensor: Any, shot: Any, uv: jax.Array, terrain: Any, atmosphere: Any) -> tuple[jax.Array, jax.Array]:
     def one(pixel: jax.Array) -> tuple[jax.Array, jax.Array]:
         fix = locate(sensor, shot, pixel, terrain, atmosphere=atmosphere)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import project
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.io._fix_columns import figures_of, rows_of
@@ -297,7 +297,7 @@ def _plain(row: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _project_many(
     observation: Observation, terrain: AbstractTerrain, lat: Any, lon: Any, is_one_camera: bool, axis: int | None
 ) -> tuple[Any, Any, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.correlation import correlations
 from jaxgeo.register.flattening import remove_illumination
 from jaxgeo.register.matching import match_blocks
-from jaxgeo.register.peaks import _top_of_paraboloid, ellipses
+from jaxgeo.register.peaks import MOST_ADDED, _top_of_paraboloid, ellipses, joined
 
 SIDE, SIZE = 160, 40
 SHIFT = np.array([2.3, -1.4])
@@ -175,6 +176,26 @@ def test_only_what_the_navigation_allows_is_searched() -> None:
     whitening, extent = ellipses(np.stack([wide, np.zeros((2, 2))]), 0.999)
     np.testing.assert_allclose(extent, [[k + 1.0, 3.0 * k + 1.0], [1.0, 1.0]], atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(whitening[0] @ [0.0, 3.0 * k + 1.0]), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("block", [8, 32, 200])
+def test_windows_of_few_blocks_have_one_size(block: int) -> None:
+    """None is smaller than asked, all together cost little more, and no two that are left would."""
+    rng = np.random.default_rng(block)
+    widths = np.asarray([4, 6, 8, 24, 48, 512])[rng.integers(0, 6, (60, 2))]
+    found = joined(widths, (block, block))
+    assert np.all(found >= widths)
+    cells = lambda half: np.prod(block + 2 * half, axis=-1)  # noqa: E731
+    sizes = np.unique(found, axis=0)
+    assert 1 < len(sizes) < len(np.unique(widths, axis=0))
+    assert np.sum(cells(found) - cells(widths)) <= MOST_ADDED * len(np.unique(widths, axis=0))
+    for one, other in itertools.combinations(sizes, 2):
+        of_both = [np.all(found == size, axis=1) for size in (one, other)]
+        both = cells(np.maximum(one, other))
+        added = sum(
+            np.count_nonzero(here) * (both - cells(size)) for here, size in zip(of_both, (one, other), strict=True)
+        )
+        assert added > MOST_ADDED
 
 
 def test_what_is_not_matched_has_its_reason() -> None:
