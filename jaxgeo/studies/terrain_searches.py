@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._numerics import tree_where
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status
@@ -114,13 +115,13 @@ def standard_scenes(rays: int, *, size: int = 1501, seed: int = 1) -> list[Scene
     ]
 
 
-@jax.jit
+@batch_filter_jit
 def approaches(rays: Ray, dem: Dem) -> Approach:
     """The approach of every ray of a batch, shared by all published searches."""
     return jax.vmap(approach, in_axes=(0, None))(rays, dem)
 
 
-@jax.jit
+@batch_filter_jit
 def run_from(begun: Approach, dem: Dem, search: AbstractStudiedSearch) -> Run:
     """A batch of runs of a published search, from the `approaches` of its rays."""
     return jax.vmap(search.run_from, in_axes=(0, None))(begun, dem)
@@ -129,7 +130,7 @@ def run_from(begun: Approach, dem: Dem, search: AbstractStudiedSearch) -> Run:
 _run_many = jax.jit(run_from, compiler_options=OPTIMISED)
 
 
-@jax.jit
+@batch_filter_jit
 def located(rays: Ray, dem: Dem, search: AbstractSearch) -> tuple[Array, Array]:
     """Ranges in m (NaN without a hit) and statuses of a batch of rays: a search and its polish, as in `intersect`."""
 
@@ -142,7 +143,7 @@ def located(rays: Ray, dem: Dem, search: AbstractSearch) -> tuple[Array, Array]:
     return jax.vmap(locate_one)(rays)
 
 
-@jax.jit
+@batch_filter_jit
 def bisection_evaluations(rays: Ray, dem: Dem) -> Array:
     """Evaluations of `Bisection` along each ray: it halves the range between highest and lowest ground to 1e-9 m."""
 
