@@ -2,9 +2,11 @@
 
 Observations are drawn over synthetic and real terrain: every azimuth, 8 to 60 degrees down, 6 to 50 km away, errors
 0.15 to 3 times those of a good sensor. Each is predicted without samples, then sampled. `--coverage` measures instead
-how often the truth lies within the stated CE90 about the erroneous fix, in simulated measurements.
+how often the truth lies within the stated CE90 about the erroneous fix, in simulated measurements. `--steep` looks
+within 10 degrees of the nadir, from 0.4 to 50 km away, with attitude errors up to 20 times as large.
 
-Run: python benchmarks/verdict.py [--targets 60] [--fresh 0] [--output roc.png] [--cluster local:2] [--folder F]
+Run: python benchmarks/verdict.py [--targets 60] [--steep] [--fresh 0] [--output roc.png] [--cluster local:2]
+         [--folder F]
      python benchmarks/verdict.py --coverage [--targets 1000] [--fresh 0]
 """
 
@@ -25,7 +27,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray
-from looks import FIRST_HIT, PIXEL, cases, errors, item, look_from, made_up_of, sampled, terrains
+from looks import (
+    DOWNWARD,
+    FIRST_HIT,
+    PIXEL,
+    SENSOR,
+    cases,
+    errors,
+    item,
+    look_from,
+    made_up_of,
+    sampled,
+    steep_cases,
+    terrains,
+)
 from measuring import Column, Table
 
 import jaxgeo
@@ -56,10 +71,12 @@ class Judged(NamedTuple):
 
 
 @eqx.filter_jit
-@eqx.filter_vmap(in_axes=(0, 0, None))
-def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selection.Diagnostics, Any, Any, Any]:
+@eqx.filter_vmap(in_axes=(0, 0, 0, None, None))
+def predicted(
+    pose: jaxgeo.Pose, scale: Any, attitude: Any, sensor: jaxgeo.Sensor, terrain: Dem
+) -> tuple[method_selection.Diagnostics, Any, Any, Any]:
     """(diagnostics, circular error over level ground, that of `accuracy`, whether there is a fix)."""
-    look, model = look_from(pose, terrain), errors(scale)
+    look, model = look_from(pose, terrain, sensor=sensor), errors(scale, attitude)
     aim = look.nominal_fix(FIRST_HIT)
     level = propagate_linear(look, aim, model, Level()).circular_error(0.9)
     found = method_selection.diagnose(look, aim, model)
@@ -67,14 +84,16 @@ def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selec
     return found.diagnostics, level, stated, counts_as_fix(aim.fix.status)
 
 
-def judged(terrain: str, *, count: int, samples: int, fresh: int) -> dict[str, np.ndarray]:
+def judged(terrain: str, *, count: int, samples: int, fresh: int, steep: bool = False) -> dict[str, np.ndarray]:
     """`count` observations of a terrain, predicted and sampled; whether each has a fix, NaN without."""
     dem, seed = places(fresh)[terrain]
-    drawn = cases(dem, count, seed)
-    diagnostics, level, stated, found = jax.tree.map(np.asarray, predicted(drawn.pose, jnp.asarray(drawn.scale), dem))
+    drawn, sensor = (steep_cases(dem, count, seed), DOWNWARD) if steep else (cases(dem, count, seed), SENSOR)
+    scales = jnp.asarray(drawn.scale), jnp.asarray(drawn.attitude)
+    diagnostics, level, stated, found = jax.tree.map(np.asarray, predicted(drawn.pose, *scales, sensor, dem))
     truth, unsure = np.full((2, count), np.nan)
     for i in np.flatnonzero(found):
-        figure = sampled(item(drawn.pose, i), drawn.scale[i], dem, i, samples).circular_error(0.9)
+        model = errors(drawn.scale[i], drawn.attitude[i])
+        figure = sampled(item(drawn.pose, i), model, dem, i, samples, sensor=sensor).circular_error(0.9)
         truth[i], unsure[i] = figure.value, 0.5 * (figure.high - figure.low)
     figures = {"level": level, "stated": stated, "found": found, "truth": truth, "unsure": unsure}
     return diagnostics._asdict() | figures
@@ -194,9 +213,11 @@ def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
     return rows
 
 
-def study(targets: int, samples: int, output: pathlib.Path | None, fresh: int, **how: Any) -> list[Table]:
+def study(
+    targets: int, samples: int, output: pathlib.Path | None, fresh: int, steep: bool = False, **how: Any
+) -> list[Table]:
     """Predictions on every terrain against samples, as a sweep with options `how`: `executor`, `folder`."""
-    function = functools.partial(judged, count=targets, samples=samples, fresh=fresh)
+    function = functools.partial(judged, count=targets, samples=samples, fresh=fresh, steep=steep)
     axes, dims = {"terrain": list(places(fresh))}, dict.fromkeys([*Judged._fields, "found"], ("look",))
     dims |= dict.fromkeys(method_selection.Diagnostics._fields, ("look",))
     found = records(jaxgeo.sweep(function, axes, dims=dims, vectorize=False, progress=True, **how))
@@ -291,7 +312,7 @@ def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
     radius = np.where(found.method == Method.facet, found.facet, found.footprint)
     for i in np.flatnonzero(found.is_case & (found.method == Method.samples)):
         known = raised_by(terrain, found.raised[i])
-        drawn_again = sampled(item(found.pose, i), drawn.scale[i], known, i, samples, pixels[i])
+        drawn_again = sampled(item(found.pose, i), errors(drawn.scale[i]), known, i, samples, pixels[i])
         radius[i] = drawn_again.circular_error(0.9).value
     return np.stack([found.method, found.away <= radius], axis=1)[found.is_case]
 
@@ -319,6 +340,7 @@ def main() -> None:
     """Run the study and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--coverage", action="store_true", help="how often the truth lies within the stated circle")
+    parser.add_argument("--steep", action="store_true", help="looks within 10 degrees of the nadir")
     parser.add_argument("--targets", type=int, help="looks at each terrain (60), or cases of each class (1000)")
     parser.add_argument("--samples", type=int, default=8192, help="of a look")
     parser.add_argument("--output", type=pathlib.Path, help="a PNG of the trade-off")
@@ -331,7 +353,7 @@ def main() -> None:
     else:
         with connect(options.cluster) if options.cluster else contextlib.nullcontext() as client:
             how = {"executor": client, "folder": options.folder}
-            tables = study(options.targets or 60, options.samples, options.output, options.fresh, **how)
+            tables = study(options.targets or 60, options.samples, options.output, options.fresh, options.steep, **how)
     for table in tables:
         print(table.markdown())
 

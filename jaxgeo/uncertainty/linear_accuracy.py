@@ -26,8 +26,9 @@ from jaxgeo.uncertainty.method_selection import (
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.normality import is_nearly_normal
-from jaxgeo.uncertainty.profile import Profile, along_of
+from jaxgeo.uncertainty.profile import Profile
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
+from jaxgeo.uncertainty.sight_plane import along_of
 
 STEPS = 0.002  # of the logarithm: figures over the profile of a plane are off by less, for its steps
 

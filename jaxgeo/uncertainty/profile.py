@@ -15,6 +15,7 @@ from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.model_inputs import FARTHER, NominalFix, Sweep
+from jaxgeo.uncertainty.sight_plane import FLAT, SightPlane
 from jaxgeo.uncertainty.unknown_ground import LinesOfSight, lost_beside
 
 NODES = 512  # sample points before the fix, and the same number behind it
@@ -23,7 +24,6 @@ GROWTH = 1.009  # of the spacing; the farthest are 2700 cells away
 LEVELS = 256  # lines of sight of equal probability
 FEW = slice(4, None, 8)  # of the lines, for what is beside them
 HALVINGS, HALVINGS_NEAR = 40, 18  # of the whole range, and between ends that are near
-FLAT = 1e-3  # horizontal component of a direction, at least: steeper lines of sight have no profile
 LEAST = 1e-9  # m: lower limit of a standard deviation
 GAP = 1.0  # of a cell: longer hidden ground is a gap, over which lines of sight jump
 FINEST = 0.5  # of the error along the line of sight: the same for terrain without cells
@@ -87,9 +87,10 @@ class Profile(NamedTuple):
 
         `direction_enu` is the nominal line of sight; not traced.
         """
-        ahead = np.asarray(direction_enu)[:2]
-        along = offsets_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), LEAST))
-        return self.jumped(np.nan_to_num(along))
+        level = np.asarray(direction_enu)[:2]
+        size = float(np.hypot(*level))
+        along = level / size if size >= FLAT else np.array([1.0, 0.0])
+        return self.jumped(np.nan_to_num(offsets_enu[:, :2] @ along))
 
     def circular_error(self, probability: float | Scalar, near: Bracket | None = None) -> Scalar:
         """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail.
@@ -136,12 +137,14 @@ def profile_of(
 ) -> Profile:
     """Terrain profile of an observation, from its derivatives by the errors (`sweep`); itself without derivatives.
 
-    An error of the line of sight or of the terrain height lifts one relative to the other by the same number of sigmas
-    along the whole profile. Across the line of sight the ground is a plane with a `normal` whose last component is 1.
+    An error of the line of sight or of the terrain height moves one relative to the other by the same number of sigmas
+    along the whole profile: a line of sight passes through a point of the ground if it is moved there by the distance
+    of that point from the nominal line. So the profile goes on below the camera and behind it, where errors reach
+    beyond the nadir. Across the line of sight the ground is a plane with a `normal` whose last component is 1.
     """
     terrain, nominal, sweep, cov_error, normal = jax.lax.stop_gradient((terrain, nominal, sweep, cov_error, normal))
-    along, level = along_of(nominal.direction_enu)
-    fall = -nominal.direction_enu[2] / level
+    plane = SightPlane.of(nominal.direction_enu)
+    along, level, fall = plane
     to_lift = lambda swept: swept[2] + fall * (along @ swept[:2])  # noqa: E731
     turn = (to_lift(sweep.farther) - to_lift(sweep.line)) / FARTHER
     to_side = jnp.stack([-along[1], along[0]])
@@ -151,13 +154,15 @@ def profile_of(
     spacing = terrain.spacing_at(nominal.p_ecef)
     if spacing is None:
         facet, level_ground = (_sigma(x, cov_error) for x in (along @ sweep.facet[:2], lift_at_fix))
-        nearest = jnp.minimum(facet, level_ground / jnp.maximum(fall, FLATTEST))
-        places, gap = _by_errors(nearest, nominal.distance)
+        least = jnp.minimum(facet, level_ground / jnp.maximum(fall, FLATTEST))
+        places, gap = _by_errors(least, nominal.distance)
     else:
         places, gap = _by_spacing(spacing), GAP * spacing
-    ground, off = _ground(terrain, nominal, level, places)
+    ground, off = _ground(terrain, nominal, plane, places)
     lift = _sigma_ahead(lift_at_fix, turn / level, cov_error)
-    sigma = lift(places)
+    nearest = plane.abreast(places, ground.above)
+    ground = ground._replace(known=ground.known & (nearest > -nominal.distance * level))
+    sigma = lift(nearest)
 
     levels = _normal_levels()
     ahead, rise, fell, unseen = _first_met(ground, ground.above / sigma, levels)
@@ -167,7 +172,7 @@ def profile_of(
     up, up_sigma = _given_lift(sweep.ground + rise_aside, at_fix, cov_error)
     side = _sigma_ahead(aside, to_side @ (sweep.farther - sweep.line)[:2] / (FARTHER * level), cov_error)
     met = jnp.where(fell, ahead, -jnp.inf)[FEW]
-    lost, nearest = lost_beside(terrain, nominal, LinesOfSight(level, lift, side), levels[FEW], met)
+    lost, first = lost_beside(terrain, nominal, LinesOfSight(plane, lift, side), levels[FEW], met)
     clearance = jnp.min(jnp.where(jumped | ~fell, jnp.abs(levels), jnp.inf))
     return Profile(
         ahead=jnp.where(fell, ahead, jnp.inf),
@@ -177,7 +182,7 @@ def profile_of(
         up_sigma=up_sigma,
         jumps=jnp.mean(jumped),
         fails=jnp.mean(~fell) + lost,
-        clearance=jnp.minimum(clearance, nearest),
+        clearance=jnp.minimum(clearance, first),
         places=ground.ahead,
         unseen=unseen,
         gap=gap,
@@ -185,26 +190,18 @@ def profile_of(
     )
 
 
-def along_of(direction_enu: Vector3) -> tuple[Float[Array, "2"], Scalar]:
-    """(horizontal unit vector along a line of sight, its horizontal component); east for one that is plumb."""
-    level = jnp.sqrt(direction_enu[0] ** 2 + direction_enu[1] ** 2)
-    plumb = level < FLAT
-    along = jnp.where(plumb, jnp.array([1.0, 0.0]), direction_enu[:2] / jnp.where(plumb, 1.0, level))
-    return along, jnp.maximum(level, FLAT)
-
-
 def _normal_levels() -> Levels:
     """Quantiles of the normal distribution at the middle of `LEVELS` equal shares."""
     return ndtri((jnp.arange(LEVELS) + 0.5) / LEVELS)
 
 
-def _ground(terrain: AbstractTerrain, nominal: NominalFix, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
+def _ground(terrain: AbstractTerrain, nominal: NominalFix, plane: SightPlane, places: Places) -> tuple[Ground, Scalar]:
     """Ground along a line of sight at distances ahead of its fix, and its distance from the fix there, m."""
-    direction = nominal.R_ecef_from_enu @ nominal.direction_enu
-    at = lambda ahead: nominal.p_ecef + direction * (ahead / level)  # noqa: E731
-    above, known = jax.vmap(lambda ahead: terrain.ground_above(at(ahead)))(places)
+    forth = nominal.R_ecef_from_enu @ plane.path
+    above, known = jax.vmap(lambda ahead: terrain.ground_above(nominal.p_ecef + ahead * forth))(places)
     off = jnp.where(known[NODES], jnp.abs(above[NODES]), jnp.inf)
-    return Ground(places, above.at[NODES].set(0.0), known & (places > -nominal.distance * level)), off
+    above = (above + (plane.fall - plane.slant) * places).at[NODES].set(0.0)
+    return Ground(places, above, known), off
 
 
 def _by_spacing(spacing: Scalar) -> Places:

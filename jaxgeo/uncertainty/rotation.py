@@ -7,11 +7,11 @@ derivatives by the errors would have to be compiled for each error model.
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -76,7 +76,7 @@ def rotation_of(
     sizes = xp.sqrt(xp.sum(slopes**2, axis=1))
     counts = sizes > NEGLIGIBLE * xp.max(sizes)
     rounded = xp.round(slopes * (STEPS / xp.where(counts, sizes, 1.0) * counts)[:, None])
-    return _of_directions(rounded, xp)
+    return _of_known_directions(rounded) if xp is np else _of_directions(rounded, xp)
 
 
 def _of_directions(directions: Any, xp: Any) -> Rotation:
@@ -103,30 +103,52 @@ def _of_directions(directions: Any, xp: Any) -> Rotation:
     return Rotation(xp.stack([*left, *right]).reshape(2, -1, len(axes)))
 
 
+def _of_known_directions(directions: np.ndarray) -> Rotation:
+    """`_of_directions` by branches on the values, in a tenth of its time."""
+    left, right = np.zeros(directions.shape), np.zeros(directions.shape)
+    for number, direction in enumerate(directions):
+        length = direction @ direction
+        for mirror in right[:number]:
+            direction = direction - (mirror @ direction) * mirror
+        mirror = right[number]
+        mirror[number:] = direction[number:]
+        squared = mirror @ mirror
+        if not squared > ALIKE**2 * length:
+            mirror[:] = 0.0
+            continue
+        mirror /= math.sqrt(squared)
+        mirror[number] += -1.0 if mirror[number] < -ALIKE else 1.0
+        mirror *= math.sqrt(2.0 / (mirror @ mirror))
+        left[number] = mirror - (right[:number] @ mirror) @ left[:number]
+    factors: Any = np.stack([left, right])
+    return Rotation(factors)
+
+
 def _offsets(lines: PerturbedLines, count: int, inputs: ModelInputs, nominal: NominalFix, places: Any, xp: Any) -> Any:
     """Offsets (3, count) in m of lines of sight on level ground, along and across the nominal one, and in height."""
     of = lambda leaf: xp.asarray(leaf)[:count]  # noqa: E731
-    east, north, up = (xp.asarray(nominal.direction_enu)[k] for k in range(3))
-    flat = xp.sqrt(east**2 + north**2)
+    direction = xp.asarray(nominal.direction_enu)
+    flat = xp.sqrt(direction[0] ** 2 + direction[1] ** 2)
     is_plumb = flat < PLUMB
-    along = xp.stack([xp.where(is_plumb, 1.0, east), xp.where(is_plumb, 0.0, north)]) / xp.where(is_plumb, 1.0, flat)
+    east, north = xp.where(is_plumb, 1.0, direction[0]), xp.where(is_plumb, 0.0, direction[1])
+    along = xp.stack([east, north]) / xp.where(is_plumb, 1.0, flat)
     ray = lines.sight.ray
     p_ecef = of(ray.origin) + xp.asarray(nominal.distance) * of(ray.direction) - xp.asarray(nominal.p_ecef)[None, :]
     p_enu = p_ecef @ xp.asarray(nominal.R_ecef_from_enu)
     raised = of(_raised(lines, inputs, nominal, places))
-    sinking = xp.where(up < 0.0, 1.0, -1.0) * xp.maximum(xp.abs(up), STEEPEST)
+    sinking = xp.where(direction[2] < 0.0, 1.0, -1.0) * xp.maximum(xp.abs(direction[2]), STEEPEST)
     ahead = p_enu[:, :2] @ along + flat * (p_enu[:, 2] - raised) / sinking
     return xp.stack([ahead, p_enu[:, 0] * along[1] - p_enu[:, 1] * along[0], raised])
 
 
 def _raised(lines: PerturbedLines, inputs: ModelInputs, nominal: NominalFix, places: Any) -> Any:
     """Height in m by which the ground of each line of sight is raised at the nominal fix, up to a constant."""
-    own, common = lines.own[0], common_ground(inputs, places)[0]
-    if not jax.tree.leaves(own):
-        return jnp.zeros_like(lines.rise)
+    own = lines.own[0]
     if isinstance(own, Dem) and isinstance(own.field, ConstantField):
         return lines.rise
-    return _raised_at(own, common, nominal)
+    if not jax.tree.leaves(own):
+        return 0.0 * lines.rise
+    return _raised_at(own, common_ground(inputs, places)[0], nominal)
 
 
 @quick_filter_jit

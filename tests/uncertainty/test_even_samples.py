@@ -20,6 +20,7 @@ from jaxgeo.uncertainty.distributions import Uniform
 from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.intervals import interval_of_scrambles, quantile_interval, scramble_quantile, share_of
 from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.rotation import _of_directions, _of_known_directions
 from tests.support import looks
 from tests.uncertainty.test_sampled import KEY, MODEL, SCENE
 
@@ -89,6 +90,20 @@ def test_the_first_numbers_are_what_the_fix_depends_on(scene) -> None:
     if model.is_normal:
         by_number = np.asarray(linear.jacobian @ linear.model.factor()) @ Q
     assert np.sum(by_number[:, :3] ** 2) > 0.999 * np.sum(by_number**2)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 9])
+def test_rotations_of_known_and_of_traced_directions_are_the_same(size: int) -> None:
+    directions = np.round(4096.0 * np.random.default_rng(size).standard_normal((3, size)))
+    for given in (
+        directions,
+        directions * [[1.0], [0.0], [1.0]],
+        directions[[0, 0, 2]],
+        np.abs(directions),
+        0.0 * directions,
+    ):
+        found, expected = _of_known_directions(given).factors, _of_directions(given, np).factors
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
 @pytest.mark.slow

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.scipy.special import ndtr
 
-from jaxgeo import Dem, Fix, Geodetic
+from jaxgeo import Dem, Fix, Geodetic, Mount, Pose, Sensor, Shot
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import ConstantHeight, FirstHit, TangentGrid
 from jaxgeo.terrain.interface import along_path
@@ -17,6 +19,7 @@ from jaxgeo.uncertainty import ErrorModel, Method, sources
 from jaxgeo.uncertainty.method_selection import diagnose, explain_method, select_method
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.profile import FEW, _normal_levels
+from jaxgeo.uncertainty.sight_plane import SightPlane
 from jaxgeo.uncertainty.unknown_ground import LinesOfSight, lost_beside
 from tests.uncertainty.test_verdict import CENTRE, SENSOR, UV, shot_at
 
@@ -34,21 +37,25 @@ def level_ground(rows: Any = slice(0), cols: Any = slice(0), *, width: int = SIZ
     return Dem.from_array(np.full(void.shape, GROUND), grid, void=void, void_ceiling=top, extent=(SIZE, width))
 
 
-def northwards() -> NominalFix:
-    """A line of sight northwards that descends to the middle from 5 km away."""
+def to_the_middle(direction_enu) -> NominalFix:
+    """A line of sight to the middle from 5 km away."""
     position = Geodetic(lat=CENTRE.lat, lon=CENTRE.lon, height=GROUND)
     p_ecef, away = WGS84.to_ecef(position), 5000.0
-    direction_enu = jnp.array([0.0, 1.0, -FALL]) / np.hypot(1.0, FALL)
     fix = Fix(position, p_ecef, away, 0.0, 0.0, 0.0, np.int8(0))
     return NominalFix(fix, p_ecef, jnp.asarray(away), jnp.zeros(2, int), direction_enu, R_ecef_from_enu(position))
 
 
+NORTHWARDS = np.array([0.0, 1.0, -FALL]) / np.hypot(1.0, FALL)
+PLUMB = np.array([0.0, 0.0, -1.0])
+
+
 @jax.jit
-def lost(terrain):
-    nominal, levels = northwards(), _normal_levels()[FEW]
-    same = lambda sigma: lambda ahead: jnp.full_like(ahead, sigma)  # noqa: E731
-    lines = LinesOfSight(jnp.hypot(*nominal.direction_enu[:2]), same(LIFT), same(ASIDE))
-    return lost_beside(terrain, nominal, lines, levels, levels * LIFT / FALL)
+def lost(terrain, direction_enu=NORTHWARDS, ahead=LIFT / FALL):
+    """The share of lines, and sigmas; `ahead` is the standard deviation of their place along the line of sight, m."""
+    nominal, levels = to_the_middle(jnp.asarray(direction_enu)), _normal_levels()[FEW]
+    plane, same = SightPlane.of(nominal.direction_enu), lambda sigma: lambda place: jnp.full_like(place, sigma)
+    lines = LinesOfSight(plane, same(ahead * plane.fall), same(ASIDE))
+    return lost_beside(terrain, nominal, lines, levels, levels * ahead)
 
 
 def drawn(rows: slice, cols: slice, width: int, top: float) -> float:
@@ -87,6 +94,14 @@ def test_lines_are_lost_where_they_meet_unknown_ground_first(case: str) -> None:
     expected = drawn(rows, cols, width, top)
     assert float(share) == pytest.approx(expected, abs=0.08)  # eight lines stand for all
     assert (float(share) == 0.0) == (expected < 1e-3) == (case in NOT_MET) == np.isinf(float(sigmas))
+
+
+@pytest.mark.parametrize("cols", [slice(49, 52), slice(45, 48), slice(70, 72)], ids=["before", "behind", "far"])
+def test_plumb_lines_are_lost_on_both_sides_of_the_nadir(cols: slice) -> None:
+    """Such lines go eastwards; a void of all rows, which those meet that errors move there."""
+    share, _ = lost(level_ground(slice(0, SIZE), cols), PLUMB, ASIDE)
+    west, east = (SPACING * (col - MIDDLE) / ASIDE for col in (cols.start - 1, cols.stop))
+    assert float(share) == pytest.approx(float(ndtr(east) - ndtr(west)), abs=0.08)
 
 
 def test_ground_without_voids_stops_no_line() -> None:
@@ -138,3 +153,36 @@ def test_a_void_beside_the_line_of_sight_asks_for_samples_and_one_far_from_it_do
             assert float(found.known) == 1.0  # not a void of the footprint
             assert "of the perturbed lines of sight meet no known ground" in explain_method(found, methods[-1])
     assert methods == [Method.samples, Method.facet]
+
+
+WIDE = ErrorModel(
+    (
+        sources.Attitude.from_degrees(heading=1.0, pitch=3.0, roll=2.0),
+        sources.Position.from_ned(north=4.0, east=4.0, down=5.0),
+        sources.TerrainHeight.from_metres(5.0),
+    )
+)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("off_nadir", [0.0, 2.0], ids=["plumb", "two degrees east"])
+def test_errors_that_reach_beyond_the_nadir_need_no_samples(off_nadir: float) -> None:
+    """Over a slope, against plain random lines from 600 m above it."""
+    slope, above, away = 0.4, 600.0, 600.0 * math.tan(math.radians(off_nadir))
+    east = SPACING * (np.arange(SIZE) - MIDDLE)
+    terrain = level_ground().with_posts(np.broadcast_to(GROUND + slope * east, (SIZE, SIZE)))
+    heading, camera = math.radians(90.0), Geodetic(lat=CENTRE.lat, lon=CENTRE.lon, height=GROUND + above)
+    shot = Shot(Pose(camera, heading, math.radians(off_nadir), 0.0))
+    inputs = ModelInputs.of(Sensor(SENSOR.camera, SENSOR.gimbal, Mount.nadir()), shot, UV, terrain)
+    found = diagnose(inputs, inputs.nominal_fix(FirstHit()), WIDE)
+
+    turn, aside, *at, up, raised = np.random.default_rng(3).standard_normal((6, 400_000))
+    tangent = np.tan(np.radians(off_nadir + 3.0 * turn)), np.tan(np.radians(2.0 * aside))
+    height = above + 5.0 * up - 5.0 * raised
+    fall = (height - slope * 4.0 * at[0]) / (1.0 + slope * tangent[0])  # to the slope raised by the terrain's error
+    middle = above * math.tan(math.radians(off_nadir)) / (1.0 + slope * math.tan(math.radians(off_nadir)))
+    miss = np.hypot(4.0 * at[0] + fall * tangent[0] - middle, 4.0 * at[1] + fall * tangent[1])
+    assert Method(int(select_method(found.diagnostics))) is Method.facet
+    assert float(found.diagnostics.fails) == 0.0
+    assert float(found.profile.circular_error(0.9)) == pytest.approx(np.quantile(miss, 0.9), rel=0.02)
+    assert away < 2.0 * np.quantile(np.abs(4.0 * at[0] + fall * tangent[0] - middle), 0.683)  # two sigmas to the nadir
