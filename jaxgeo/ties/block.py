@@ -96,7 +96,7 @@ def find_ties(
     for first in sorted({pair.first for pair in chosen}):
         own = [pair for pair in chosen if pair.first == first]
         uv, numbers = _points_of(views, first, pictures, tracks, points)
-        planes = planes_at(views, first, uv, terrain, how.size)
+        planes = planes_at(views, first, uv, terrain, float(how.size))
         for pair in own:
             found = match_pair(views, first, pair.second, uv, planes, pictures, how)
             tracks.add(found, numbers)

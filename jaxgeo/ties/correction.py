@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import check_is
+from jaxgeo._typing import Numbers, Scalar
 from jaxgeo.adjust import (
+    AbstractLoss,
     Adjustment,
     Block,
-    Cauchy,
     HeightObservations,
     ImagePoints,
     Images,
@@ -34,11 +35,25 @@ from jaxgeo.ties.views import Views
 
 OUTLIER = 4.0  # standard deviations, times the scale of the residuals: larger ones are left out
 LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
-LEAST_SCALE = 0.5  # lower bound of the factor of the standard deviations of image points
+# Lower bound of the factor of the standard deviations of image points. Residuals alone are too small: errors along
+# epipolar lines go into the heights of points, and all rays of a track share the error of its first patch.
+LEAST_SCALE = 1.0
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 ROUNDS = 5
 MEDIAN = 1.054  # median of the larger of two normal numbers
 WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
+
+
+class _Cauchy(AbstractLoss):
+    """Cauchy's loss with its width as an array: least squares, by a large width, is then the same program."""
+
+    width: Scalar
+
+    def rho(self, squared: Numbers) -> Numbers:
+        return self.width**2 * jnp.log1p(squared / self.width**2)
+
+    def weight(self, squared: Numbers) -> Numbers:
+        return 1.0 / (1.0 + squared / self.width**2)
 
 
 @dataclass(frozen=True)
@@ -144,7 +159,7 @@ def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None
     full = prepared(block, unknowns, terrain, set_aside(block, kept))
     values, scale = None, 1.0
     for _ in range(ROUNDS):
-        solution = solve(masked(block, full, kept).problem, _robust_loss(WIDTH), start=values)
+        solution = solve(masked(block, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
         values = solution.values
         sizes = np.max(np.abs(np.asarray(image_residuals(full.problem, values)).T[full.order.place]), axis=1)
         scale = max(float(np.median(sizes[kept.rows])) / MEDIAN, LEAST_SCALE)
@@ -157,11 +172,6 @@ def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None
 
 def _in_view(full: Prepared, values: Values) -> np.ndarray:
     return np.asarray(in_view(full.problem, values))[full.order.place]
-
-
-def _robust_loss(width: float) -> Cauchy:
-    """Cauchy's loss with its width as an array: least squares, a large width, is then the same program."""
-    return Cauchy(jnp.asarray(width))  # pyright: ignore[reportArgumentType]
 
 
 def _final(
@@ -177,12 +187,12 @@ def _final(
         observed = replace(block.observations, sigma=block.observations.sigma * scale)
         scaled = replace(block, observations=observed)
         ready = masked(scaled, prepared(scaled, unknowns, terrain, set_aside(scaled, kept)), kept)
-        solution = solve(ready.problem, _robust_loss(WIDEST), start=values)
+        solution = solve(ready.problem, _Cauchy(jnp.asarray(WIDEST)), start=values)
         values = solution.values
         if not last:
             residuals = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
             freedom = max(2 * len(residuals) - 6 * len(block.images) - 3 * len(ready.names.point), 1)
-            scale *= max(float(np.sqrt(np.sum(residuals**2) / freedom)), LEAST_SCALE)
+            scale = max(scale * float(np.sqrt(np.sum(residuals**2) / freedom)), LEAST_SCALE)
     screen = Screen(kept)
     return adjusted(block_of(scaled, kept), unknowns, ready, solution, LeastSquares(), None, screen), scale
 

@@ -126,7 +126,9 @@ class _Geometry(NamedTuple):
 
     def of(self, kept: np.ndarray) -> _Geometry:
         """Some of the points."""
-        return _Geometry(*(part[kept] for part in self[:5]), self.cell)
+        return _Geometry(
+            self.rows[kept], self.origin[kept], self.axes[kept], self.by_pose[kept], self.by_height[kept], self.cell
+        )
 
 
 def match_pair(
@@ -180,7 +182,14 @@ class _Pass(NamedTuple):
 
     def of(self, kept: np.ndarray) -> _Pass:
         """Some of the points."""
-        return _Pass(*(part[kept] for part in self[:4]), self.alarms, self.cell)
+        return _Pass(
+            self.shift[kept],
+            self.covariance[kept],
+            self.score[kept],
+            self.outcome[kept],
+            self.alarms,
+            self.cell,
+        )
 
 
 def _pass(
@@ -303,7 +312,8 @@ def _geometry(views: Views, both: tuple[int, int], planes: Planes, how: Matching
     steep = np.sum(planes.normal * (planes.origin - views.centre[both[1]]), axis=1)
     rows = np.flatnonzero(planes.known & views_of[0].visible & views_of[1].visible & (steep < 0.0))
     if not len(rows):
-        return _Geometry(rows, *(np.zeros((0, *part)) for part in ((3,), (2, 3), (2, 12), (2,))), 1.0)
+        empty = [np.zeros((0, *part)) for part in ((3,), (2, 3), (2, 12), (2,))]
+        return _Geometry(rows, empty[0], empty[1], empty[2], empty[3], 1.0)
     by_plane = [one.by_plane[rows] for one in views_of]
     cell = max(float(np.median(np.abs(np.linalg.det(one)) ** -0.5)) for one in by_plane)
     sides = [np.linalg.solve(one, seen.by_pose[rows]) for one, seen in zip(by_plane, views_of, strict=True)]
@@ -372,7 +382,8 @@ def _measured(views: Views, result: PairMatches, geometry: _Geometry, done: _Pas
 
 
 def _nothing(both: tuple[int, int], uv: np.ndarray) -> PairMatches:
-    n = len(uv)
-    empty = [np.full((n, 2), np.nan) for _ in range(3)]
+    n, (first, second) = len(uv), both
+    second_uv, sigma_first, sigma_second = (np.full((n, 2), np.nan) for _ in range(3))
     outcome = np.full(n, TieOutcome.not_visible, np.int8)
-    return PairMatches(*both, np.array(uv, np.float64), *empty, np.full(n, np.nan), outcome, np.inf)
+    uv = np.array(uv, np.float64)
+    return PairMatches(first, second, uv, second_uv, sigma_first, sigma_second, np.full(n, np.nan), outcome, np.inf)

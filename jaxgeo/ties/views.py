@@ -83,7 +83,7 @@ class Views:
         frame = frame_at(_stacked([_shot(one).pose.position for one in exposures]))
         camera, cameras = _cameras_of(exposures)
         found = [_oriented(frame, one, _pose_errors(given)) for one, given in zip(exposures, errors, strict=True)]
-        centre, R, covariance = (np.stack([np.asarray(part) for part in parts]) for parts in zip(*found, strict=True))
+        centre, R, covariance = (np.stack([np.asarray(one[k]) for one in found]) for k in range(3))
         _check_covariances(names, covariance)
         Images(names, camera, centre, R)  # raises for duplicate names and poses that are not finite
         return cls(names, exposures, camera, cameras, frame, centre, R, covariance)
@@ -101,8 +101,8 @@ class Views:
 class Projected(NamedTuple):
     """Projections of points near planes: `nodes` (n, 3, 3, 2), pixels of a lattice (row, col) of the plane at -1, 0, 1
     times its half width; derivatives of the pixel at the centre by the plane coordinates (row, col) in m, `by_plane`
-    (n, 2, 2), and by the errors of the pose, `by_pose` (n, 2, 6); whether all nodes have a pixel, and the centre lies on
-    the image."""
+    (n, 2, 2), and by the errors of the pose, `by_pose` (n, 2, 6); whether all nodes have a pixel, and the centre is
+    on the image."""
 
     nodes: Float[Any, "n 3 3 2"]
     by_plane: Float[Any, "n 2 2"]
@@ -120,10 +120,15 @@ def project_planes(
     padded = [np.resize(np.asarray(one, np.float64), (size, *np.shape(one)[1:])) for one in (origin, axes)]
     pose = jnp.asarray(centre), jnp.asarray(R_frame_from_camera)
     parts = [
-        _project_planes(camera, *pose, *(jnp.asarray(one[k : k + CHUNK]) for one in padded), jnp.asarray(half))
+        _project_planes(
+            camera, *pose, *(jnp.asarray(one[k : k + CHUNK]) for one in padded), jnp.asarray(half, jnp.float64)
+        )
         for k in range(0, size, CHUNK)
     ]
-    return Projected(*(np.concatenate([np.asarray(x) for x in column])[:count] for column in zip(*parts, strict=True)))
+    nodes, by_plane, by_pose, visible = (
+        np.concatenate([np.asarray(one[k]) for one in parts])[:count] for k in range(4)
+    )
+    return Projected(nodes, by_plane, by_pose, visible)
 
 
 @quick_filter_jit
@@ -135,7 +140,7 @@ def _project_planes(
     axes: Float[Array, "n 2 3"],
     half: Float[Array, "2"],
 ) -> Projected:
-    steps = jnp.stack(jnp.meshgrid(*2 * [jnp.array([-1.0, 0.0, 1.0])], indexing="ij"), axis=-1) * half
+    steps = jnp.stack(jnp.meshgrid(*2 * [jnp.array([-1.0, 0.0, 1.0])], indexing="ij"), axis=-1) * half[None, None, :]
 
     def one(origin: Vector3, axes: Float[Array, "2 3"]) -> tuple[Array, ...]:
         def pixel(step: Float[Array, "2"], error: Float[Array, "6"]) -> Array:
@@ -144,7 +149,7 @@ def _project_planes(
             u, v, _ = camera.project_many(*away)
             return jnp.stack([u, v])
 
-        place = (origin + steps @ axes - centre) @ R
+        place = ((origin - centre)[None, None, :] + steps @ axes) @ R
         u, v, status = camera.project_many(place[..., 0], place[..., 1], place[..., 2])
         by_plane, by_pose = jax.jacfwd(pixel, argnums=(0, 1))(jnp.zeros(2), jnp.zeros(6))
         known = jnp.all(jnp.isfinite(u) & jnp.isfinite(v)) & jnp.all(jnp.isfinite(by_pose))
