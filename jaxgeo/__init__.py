@@ -66,7 +66,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import adjust, cluster, coverage, io, ortho, plot, register
+    from jaxgeo import adjust, cluster, coverage, io, ortho, plot, register, ties
     from jaxgeo.terrain import Bisection
 
     __version__: str
@@ -123,6 +123,7 @@ __all__ = [
     "sample",
     "spherical_error",
     "sweep",
+    "ties",
     "uncertainty",
 ]
 
@@ -136,6 +137,7 @@ _ON_DEMAND = (
     "ortho",
     "plot",
     "register",
+    "ties",
 )  # lazy: rasterio, pyproj, matplotlib
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.drone_strip import Strip, ground, strip, views_of
+from support.drone_strip import ERRORS, SENSOR, Strip, ground, strip, views_of
 
+from jaxgeo import Exposure
 from jaxgeo.adjust import ImagePoints
-from jaxgeo.ties import Correction, Matching, Ties, candidate_pairs, correct, find_ties
+from jaxgeo.ties import Correction, Matching, Ties, Views, candidate_pairs, correct, find_ties
 from jaxgeo.ties.views import project_planes
 
 pytestmark = pytest.mark.costly
@@ -43,7 +44,7 @@ def errors_of(here: Strip, found: Correction) -> np.ndarray:
 
 
 def off_true_rays(here: Strip, observed: ImagePoints) -> np.ndarray:
-    """Distances (n,) in px of measurements in two images or more from the ground that the first shows, by the true poses."""
+    """Distances (n,) in px of measurements from the ground that the first image of a point shows, by the true poses."""
     true = views_of(here.names, here.true)
     off = []
     level = float(np.asarray(true.frame.from_geodetic(here.true[0].pose.position))[2]) - 150.0
@@ -84,7 +85,7 @@ def test_an_unconnected_image_is_named(ties: Ties, corrected: Correction) -> Non
 
 
 def test_errors_are_as_predicted(here: Strip, corrected: Correction) -> None:
-    """Not too small; of the relative errors the prediction is on the safe side, since images here are sharper than any."""
+    """The prediction is not too small; of relative errors it is too large, as these images are very sharp."""
     assert corrected.rms_before > 0.5
     assert corrected.rms_after < 0.1 * corrected.rms_before
     errors = errors_of(here, corrected).ravel()
@@ -126,3 +127,13 @@ def test_wrong_matches_are_left_out(here: Strip, ties: Ties, corrected: Correcti
     away = found.adjustment.images.centre - corrected.adjustment.images.centre
     assert np.max(np.abs(away) / corrected.adjustment.sigma_of_images[:, :3]) < 4.0
     assert found.left_out >= 0.8 * np.count_nonzero(wrong)
+
+
+def test_blocks_that_cannot_be_tied_are_refused(here: Strip) -> None:
+    with pytest.raises(ValueError, match="two images or more"):
+        find_ties(views_of(here.names[:1], here.given[:1]), ground(), here.pictures)
+    with pytest.raises(ValueError, match="no two of 2 images overlap"):
+        find_ties(views_of(["a", "b"], [here.given[0], here.given[4]]), ground(), here.pictures)
+    views = [Exposure(SENSOR, here.given[0])] * 2
+    with pytest.raises(ValueError, match="no error of position"):
+        Views.of(["a", "b"], views, [ERRORS[1:], ERRORS[1:]])
