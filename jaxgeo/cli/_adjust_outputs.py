@@ -23,7 +23,7 @@ IMAGES = {
     "ties": ("ties", "d"),
 }
 CAPTION = (
-    "east, north, up: movement of the perspective centre; turned: change of the attitude; sigmas: the larger of both in "
+    "east, north, up: movement of the perspective centre; turned: change of the attitude; sigmas: larger of both in "
     "standard deviations of the navigation"
 )
 FILES = "orientations.csv", "ties.csv"

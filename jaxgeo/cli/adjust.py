@@ -74,6 +74,11 @@ def adjust_command(
     with report_errors(debug):
         given = OrientedImages(files, None, images, reading)
         given.check()
+        if not given.are_several:
+            raise UserError(
+                f"{files[0]}: adjust needs two images or more; give a folder of images, or a file of poses with "
+                f"--images FOLDER."
+            )
         check_no_input("--output", [output / name for name in FILES], [*given.inputs, *terrain_files(dem, reading_dem)])
         check_writable(output)
         began = time.perf_counter()

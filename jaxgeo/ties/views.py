@@ -118,13 +118,11 @@ def project_planes(
     count = len(origin)
     size = max(-(-count // CHUNK), 1) * CHUNK
     padded = [np.resize(np.asarray(one, np.float64), (size, *np.shape(one)[1:])) for one in (origin, axes)]
-    pose = jnp.asarray(centre), jnp.asarray(R_frame_from_camera)
-    parts = [
-        _project_planes(
-            camera, *pose, *(jnp.asarray(one[k : k + CHUNK]) for one in padded), jnp.asarray(half, jnp.float64)
-        )
-        for k in range(0, size, CHUNK)
-    ]
+    centre, R, half = jnp.asarray(centre), jnp.asarray(R_frame_from_camera), jnp.asarray(half, jnp.float64)
+    parts = []
+    for k in range(0, size, CHUNK):
+        points, directions = (jnp.asarray(one[k : k + CHUNK]) for one in padded)
+        parts.append(_project_planes(camera, centre, R, points, directions, half))
     nodes, by_plane, by_pose, visible = (
         np.concatenate([np.asarray(one[k]) for one in parts])[:count] for k in range(4)
     )

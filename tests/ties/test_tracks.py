@@ -77,7 +77,7 @@ def test_points_are_spread_and_on_texture() -> None:
     assert len(np.unique(cells)) == len(cells)
     assert {8 * row + col for row in range(6) for col in range(4)} <= set(cells.tolist())
     assert np.array_equal(cell_of(uv, (96, 128), 48), cells)
-    assert np.all(uv[:, 0] < 66.0)
+    assert np.all(uv[:, 0] < 70.0)  # the window of the texture is some pixels wide
 
 
 @pytest.mark.parametrize(
