@@ -67,7 +67,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import adjust, cluster, coverage, io, ortho, plot, register
+    from jaxgeo import adjust, cluster, coverage, io, ortho, plot, register, ties
     from jaxgeo.terrain import Bisection
 
     __version__: str
@@ -124,6 +124,7 @@ __all__ = [
     "sample",
     "spherical_error",
     "sweep",
+    "ties",
     "uncertainty",
 ]
 
@@ -137,6 +138,7 @@ _ON_DEMAND = (
     "ortho",
     "plot",
     "register",
+    "ties",
 )  # lazy: rasterio, pyproj, matplotlib
 
 

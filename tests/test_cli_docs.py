@@ -65,7 +65,7 @@ def all_shown() -> list[Shown]:
 
 
 ALL = all_shown()
-LONG = ("demo", "study", "view")  # what they do is tested where they are
+LONG = ("adjust", "demo", "study", "view")  # what they do is tested where they are
 
 
 @pytest.fixture

@@ -201,6 +201,10 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"plan FILE --dem dem.tif --overlap 0.9 {FILE} -o out.csv",
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
+    f"adjust FILE --images i --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid --dem-sigma 2 "
+    "--points 100 --least-correlation 0.6 --self-calibrate --crs EPSG:32616 --dem-datum EPSG:5773 -o out --json "
+    "--debug",
+    f"adjust FILE --dem dem.tif {READING} -o out",
     f"footprint FILE --dem dem.tif {FILE}",
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
@@ -334,6 +338,10 @@ def test_samples_of_a_field_of_heights_from_a_shell(folder) -> None:
 
 
 REFUSED = [
+    (
+        "adjust DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif -o out",
+        r"DJI_0042\.JPG: adjust needs two images or more; give a folder of images, or a file of poses with --images .*",
+    ),
     ("locte", r"locte: no such command; did you mean locate\? See jaxgeo --help\."),
     ("study li2024", r"li2024: no such command; did you mean li20\d\d\? See jaxgeo study --help\."),
     ("--frobnicate", r"--frobnicate: no such option\. See jaxgeo --help\."),

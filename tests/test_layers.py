@@ -25,6 +25,7 @@ LAYERS = [
     ["adjust"],
     ["coverage", "ortho"],
     ["register"],
+    ["ties"],
     ["io", "plot", "scale"],
     ["cluster", "studies", "demo"],
     ["report", "view"],

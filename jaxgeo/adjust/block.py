@@ -218,7 +218,7 @@ def frame_at(position: Geodetic) -> LocalFrame:
     ecef = np.asarray(
         jax.vmap(WGS84.to_ecef)(jax.tree.map(lambda x: np.atleast_1d(np.asarray(x, np.float64)), position))
     )
-    middle = WGS84.to_geodetic(ecef.mean(axis=0))
+    middle = WGS84.to_geodetic(jax.numpy.asarray(ecef.mean(axis=0)))
     return LocalFrame(Geodetic(lat=middle.lat, lon=middle.lon, height=np.float64(0.0)))
 
 

@@ -3,7 +3,8 @@
 `inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them;
 `view` shows images and map in the browser; `accuracy-map` maps the accuracy of all places on an image; `validate`
 compares stated errors with check points; `footprint`, `point`, `overlap` and `plan` are for coverage and mission
-planning; `rectify` orthorectifies images, `register` estimates their orientation from a map; `dem` fetches elevation
+planning; `rectify` orthorectifies images, `register` estimates their orientation from a map, `adjust` by
+tie points among them; `dem` fetches elevation
 models; `scene` writes a scene file of an exposure; `demo` is an example; `doctor` checks the installation; `study`
 reproduces published results.
 
@@ -28,6 +29,7 @@ from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._options import expand_groups
 from jaxgeo.cli._results import version
 from jaxgeo.cli.accuracy_map import accuracy_map_command
+from jaxgeo.cli.adjust import adjust_command
 from jaxgeo.cli.dem import dem_command
 from jaxgeo.cli.demo import demo_command
 from jaxgeo.cli.doctor import doctor_command
@@ -100,6 +102,7 @@ _add("overlap", overlap_command)
 _add("plan", plan_command)
 _add("rectify", rectify_command)
 _add("register", register_command)
+_add("adjust", adjust_command)
 _add("dem", dem_command)
 _add("scene", scene_command)
 _add("demo", demo_command)

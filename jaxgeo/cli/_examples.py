@@ -60,6 +60,10 @@ EXAMPLES = {
         f"jaxgeo register image.tif --reference ortho.tif {SCENE} --position-sigma 20 --attitude-sigma 0.3 "
         "-o registered",
     ),
+    "adjust": (
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif -o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --self-calibrate -o adjusted",
+    ),
     "dem": (
         "jaxgeo dem 36.31,-84.25 --radius 2000 -o ground.tif",
         "jaxgeo dem --for DJI_0042.JPG --camera-datum ellipsoid",

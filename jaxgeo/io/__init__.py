@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.archives import ArchiveError, DemCache, FetchedDem, fetch_dem, fetch_geoid
     from jaxgeo.io.bal import BalProblem, read_bal, write_bal
     from jaxgeo.io.check_points import SurveyedPixels, check_points_of, read_check_points
+    from jaxgeo.io.corrected import orientations_of, write_image_ties
     from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
     from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
     from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
@@ -90,6 +91,7 @@ __all__ = [
     "locate_observations",
     "observations_of",
     "open_dem",
+    "orientations_of",
     "read_acquisition",
     "read_acquisitions",
     "read_bal",
@@ -119,6 +121,7 @@ __all__ = [
     "write_fixes",
     "write_footprints",
     "write_image_points",
+    "write_image_ties",
     "write_orientations",
     "write_orthoimage",
     "write_probability_map",
@@ -137,6 +140,7 @@ _NAMES_OF = {
     "archives": "ArchiveError DemCache FetchedDem fetch_dem fetch_geoid",
     "bal": "BalProblem read_bal write_bal",
     "check_points": "SurveyedPixels check_points_of read_check_points",
+    "corrected": "orientations_of write_image_ties",
     "datasets": "accuracy_map_dataset samples_dataset",
     "dem": "DemReport example_dem read_dem read_dem_and_report",
     "errors": "DemError ImageError TableError VerticalDatumError",

@@ -1,0 +1,124 @@
+"""Output files and summary of `jaxgeo adjust`."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxgeo.cli._console import Console
+from jaxgeo.cli._screen import number_table
+
+if TYPE_CHECKING:
+    from jaxgeo.ties import Correction, Ties, Views
+
+IMAGES = {
+    "image": ("image", ""),
+    "east_m": ("east, m", ".3f"),
+    "north_m": ("north, m", ".3f"),
+    "up_m": ("up, m", ".3f"),
+    "turned_deg": ("turned, deg", ".3f"),
+    "sigmas": ("sigmas", ".1f"),
+    "ties": ("ties", "d"),
+}
+CAPTION = (
+    "east, north, up: movement of the perspective centre; turned: change of the attitude; sigmas: larger of both in "
+    "standard deviations of the navigation"
+)
+FILES = "orientations.csv", "ties.csv"
+SHOWN = 30  # images in the table on the screen
+
+
+def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> None:
+    """Write orientations.csv and ties.csv."""
+    from jaxgeo.io import write_orientations
+    from jaxgeo.io.corrected import orientations_of, write_image_ties
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_orientations(folder / "orientations.csv", orientations_of(found.adjustment), crs=crs)
+    write_image_ties(folder / "ties.csv", found.adjustment)
+
+
+def content_of(
+    views: Views, ties: Ties, found: Correction | None, folder: pathlib.Path, seconds: float
+) -> dict[str, Any]:
+    """Content of --json."""
+    count = 0 if ties.observations is None else len(np.unique(ties.observations.point))
+    content: dict[str, Any] = {
+        "images": len(views),
+        "pairs": [
+            {
+                "first": pair.first,
+                "second": pair.second,
+                "overlap": pair.overlap,
+                "points": {outcome.name: number for outcome, number in pair.counts.items()},
+            }
+            for pair in ties.pairs
+        ],
+        "tie_points": count,
+        "unconnected": ties.unconnected if found is None else found.unconnected,
+        "seconds": seconds,
+    }
+    if found is None:
+        return content
+    adjustment = found.adjustment
+    observed = adjustment.block.observations
+    degrees = np.rad2deg(np.linalg.norm(found.turned, axis=1))
+    rows = [
+        {
+            "image": name,
+            "east_m": float(found.moved[k, 0]),
+            "north_m": float(found.moved[k, 1]),
+            "up_m": float(found.moved[k, 2]),
+            "turned_deg": float(degrees[k]),
+            "sigmas": float(found.sigmas[k]),
+            "ties": int(np.count_nonzero(observed.image == name)),
+        }
+        for k, name in enumerate(found.names)
+    ]
+    return content | {
+        "measurements": {"used": len(observed), "left_out": found.left_out},
+        "residuals_rms_px": {"before": found.rms_before, "after": found.rms_after},
+        "sigma_px": float(np.median(observed.sigma)),
+        "adjusted": rows,
+        "moved_rms_m": float(np.sqrt(np.mean(np.sum(found.moved**2, axis=1)))),
+        "turned_rms_deg": float(np.sqrt(np.mean(degrees**2))),
+        "sigma_of_mean_position_m": found.sigma_of_mean.tolist(),
+        "doubtful": found.doubtful,
+        "parameters": [
+            {"of": p.whose, "name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit}
+            for p in adjustment.parameters
+        ],
+        "words": found.words().splitlines(),
+        "files": [f"{folder / name}" for name in FILES],
+    }
+
+
+def print_summary(content: dict[str, Any], found: Correction | None) -> None:
+    """Print the summary on stdout."""
+    console = Console(width=None if Console().is_terminal else 160)
+
+    def say(words: str) -> None:
+        console.print(words, highlight=False, markup=False, soft_wrap=True)
+
+    tied = sum(pair["points"].get("tied", 0) > 0 for pair in content["pairs"])
+    say(
+        f"{content['images']} images, {len(content['pairs'])} pairs, {tied} of them with ties; "
+        f"{content['tie_points']} tie points"
+    )
+    if found is None:
+        say("Nothing is adjusted: no two images share enough tie points. Check navigation, datums and --dem-sigma.")
+        return
+    rms = content["residuals_rms_px"]
+    say(
+        f"residuals: {rms['before']:.2f} px before, {rms['after']:.2f} px after (RMS per axis of the same measurements)"
+    )
+    used = content["measurements"]
+    say(f"measurements: {used['used']} used, {used['left_out']} left out")
+    say(f"moved by {content['moved_rms_m']:.3g} m, turned by {content['turned_rms_deg']:.3g} deg (RMS)")
+    console.print(number_table(content["adjusted"][:SHOWN], IMAGES, CAPTION))
+    for one in content["parameters"]:
+        say(f"{one['of']} {one['name']}: {one['value']:.7g} +- {one['sigma']:.3g} {one['unit']}")
+    say(found.words())
+    say(f"{', '.join(content['files'])}; {content['seconds']:.1f} s")

@@ -1,0 +1,194 @@
+"""`jaxgeo adjust`: mutual correction of overlapping images by tie points, without a map."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from jaxgeo._destination import check_no_input
+from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._adjust_outputs import FILES, content_of, print_summary, write_files
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
+from jaxgeo.cli._option_names import as_typed, translate_reach_errors
+from jaxgeo.cli._options import WRITING, DemFiles, DemOptions
+from jaxgeo.cli._oriented_images import OrientedImages
+from jaxgeo.cli._results import AsJson, given_options, print_json
+from jaxgeo.cli._screen import print_note, progress_bar, working
+
+if TYPE_CHECKING:
+    from jaxgeo.ties import Correction, Ties, Views
+
+INTERIOR = 0.005, 0.002  # of the focal length: prior sigma of focal length and principal point, if none is stated
+
+
+def adjust_command(
+    files: Annotated[
+        list[pathlib.Path],
+        typer.Argument(metavar="FILE", help="Drone images, a folder of them, or a file with the poses of --images."),
+    ],
+    dem: DemFiles,
+    output: Annotated[
+        pathlib.Path,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="Output folder; created if missing.", rich_help_panel=WRITING
+        ),
+    ],
+    *,
+    images: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--images", metavar="FOLDER", help="Images by name, if FILE is a file of poses (a reconstruction, a table)."
+        ),
+    ] = None,
+    dem_sigma: Annotated[
+        float, typer.Option("--dem-sigma", metavar="METRES", help="Height sigma of --dem, m; limits the search.")
+    ] = 5.0,
+    points: Annotated[int, typer.Option("--points", metavar="COUNT", help="Points of each image to match.")] = 150,
+    least_correlation: Annotated[
+        float, typer.Option("--least-correlation", metavar="SCORE", help="Smallest correlation of a match.")
+    ] = 0.5,
+    self_calibrate: Annotated[
+        bool, typer.Option("--self-calibrate", help="Also adjust focal length and principal point of each camera.")
+    ] = False,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            "--crs", metavar="CRS", help="Map of the orientations (x, y, z, omega, phi, kappa); default: lat, lon."
+        ),
+    ] = None,
+    reading_dem: DemOptions = DemOptions(),
+    reading: ReadingOptions = ReadingOptions(),
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Correct positions and attitudes of overlapping images by tie points among them; no map is needed.
+
+    The navigation is the prior, with the errors that the files state. Writes orientations.csv and ties.csv.
+    """
+    inputs = given_options(locals())
+    with report_errors(debug):
+        given = OrientedImages(files, None, images, reading)
+        given.check()
+        if not given.are_several:
+            raise UserError(
+                f"{files[0]}: adjust needs two images or more; give a folder of images, or a file of poses with "
+                f"--images FOLDER."
+            )
+        check_no_input("--output", [output / name for name in FILES], [*given.inputs, *terrain_files(dem, reading_dem)])
+        check_writable(output)
+        began = time.perf_counter()
+        compile_quickly()
+        from jaxgeo._checks import enable_x64
+
+        enable_x64()
+        views, paths = _read(given)
+        exposures = views.exposure
+        terrain = read_terrain(
+            dem, reading_dem, lambda: view_of_shots(exposures[0].sensor, [one.motion for one in exposures])
+        )
+        ties = _tied(views, terrain, paths, reading_dem, dem_sigma, points, least_correlation)
+        found = None
+        if ties.observations is not None and len(ties.parts[0]) > 1:
+            with working("adjusting"):
+                found = _corrected(views, ties, self_calibrate)
+            write_files(output, found, crs)
+        content = content_of(views, ties, found, output, time.perf_counter() - began)
+        if as_json:
+            print_json("adjust", {"inputs": inputs, **content})
+        else:
+            print_summary(content, found)
+    if found is None:
+        raise typer.Exit(NO_ANSWER)
+
+
+def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path]]:
+    """(the images with their navigation, their files). Raises `UserError`."""
+    from jaxgeo.ties import Views
+
+    observed, paths = given.read()
+    for one in map(as_typed, observed.assumed):
+        if "sigma" in one:
+            print_note(f"assumed: {one}")
+    rows = observed.read_rows.tolist()
+    if len(rows) < 2:
+        raise UserError(f"{observed.source}: adjust needs two images or more with positions; got {len(rows)}.")
+    each = [observed.at(row) for row in rows]
+    names = [str(observed.columns[row].get("name", row)) for row in rows]
+    try:
+        return Views.of(names, [one.exposure for one, _ in each], [errors for _, errors in each]), [
+            paths[row] for row in rows
+        ]
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{observed.source}: {error}") from error
+
+
+def _tied(
+    views: Views,
+    terrain: Any,
+    paths: list[pathlib.Path],
+    reading: DemOptions,
+    dem_sigma: float,
+    points: int,
+    least_correlation: float,
+) -> Ties:
+    from jaxgeo.io.images import check_size, read_image
+    from jaxgeo.ties import Matching, Pictures, find_ties
+
+    def read(row: int) -> tuple[Any, Any]:
+        with translate_reach_errors():
+            values, known = read_image(
+                paths[row], allow_remote=bool(reading.allow_remote), allow_outside=bool(reading.allow_outside)
+            )
+        check_size(f"{paths[row]}", values.shape, views.camera_of(row))
+        return values, known
+
+    try:
+        how = Matching(sigma_height=dem_sigma, least_score=least_correlation)
+        with progress_bar() as bar:
+            task = bar.add_task("compiling, matching pairs", total=None)
+            return find_ties(
+                views,
+                terrain,
+                Pictures(read),
+                how,
+                points=points,
+                callback=lambda done, total: bar.update(
+                    task, completed=done, total=total, description="matching pairs"
+                ),
+            )
+    except ValueError as error:
+        raise UserError(_as_options(f"{error}")) from error
+
+
+def _as_options(words: str) -> str:
+    """A message with the names of options."""
+    for name, option in (
+        ("sigma_height", "--dem-sigma"),
+        ("least_score", "--least-correlation"),
+        ("points", "--points"),
+    ):
+        if words.startswith(f"{name} must"):
+            return option + words.removeprefix(name)
+    return words.replace(", or lower least_overlap", "")
+
+
+def _corrected(views: Views, ties: Ties, self_calibrate: bool) -> Correction:
+    from jaxgeo.adjust import DeficientBlock, NotConverged, Prior, Unknowns
+    from jaxgeo.ties import correct
+
+    unknowns = None
+    if self_calibrate:
+        priors = {name: float(max(camera.focal_px)) for name, camera in views.cameras.items()}
+        unknowns = Unknowns(
+            focal={name: Prior(INTERIOR[0] * focal) for name, focal in priors.items()},
+            principal={name: Prior(INTERIOR[1] * focal) for name, focal in priors.items()},
+        )
+    try:
+        return correct(views, ties, unknowns)
+    except (DeficientBlock, NotConverged, ValueError) as error:
+        raise UserError(f"the adjustment failed: {error}") from error

@@ -1,0 +1,27 @@
+"""Tie points between images, and the mutual correction of their orientations without a map."""
+
+from jaxgeo.ties.block import MatchedPair, Ties, find_ties
+from jaxgeo.ties.correction import Correction, correct
+from jaxgeo.ties.matching import Matching, PairMatches, TieOutcome, match_pair
+from jaxgeo.ties.pairs import Pair, candidate_pairs
+from jaxgeo.ties.pictures import Pictures
+from jaxgeo.ties.tracks import Tracks, connected
+from jaxgeo.ties.views import Views
+
+__all__ = [
+    "Correction",
+    "MatchedPair",
+    "Matching",
+    "Pair",
+    "PairMatches",
+    "Pictures",
+    "TieOutcome",
+    "Ties",
+    "Tracks",
+    "Views",
+    "candidate_pairs",
+    "connected",
+    "correct",
+    "find_ties",
+    "match_pair",
+]

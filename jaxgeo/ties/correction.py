@@ -1,0 +1,280 @@
+"""Mutual correction: adjustment of images by their tie points, with the navigation as prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo._typing import Numbers, Scalar
+from jaxgeo.adjust import (
+    AbstractLoss,
+    Adjustment,
+    Block,
+    HeightObservations,
+    ImagePoints,
+    Images,
+    LeastSquares,
+    Navigation,
+    Unknowns,
+)
+from jaxgeo.adjust.bundle import adjusted
+from jaxgeo.adjust.kept import Kept, block_of, masked, set_aside
+from jaxgeo.adjust.measurements import image_residuals, in_view
+from jaxgeo.adjust.problem import Prepared, prepared
+from jaxgeo.adjust.ray_consensus import Rays
+from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
+from jaxgeo.adjust.solve import solve
+from jaxgeo.adjust.values import Values
+from jaxgeo.sensor import Mount
+from jaxgeo.ties.block import Ties
+from jaxgeo.ties.tracks import connected
+from jaxgeo.ties.views import Views
+
+OUTLIER = 4.0  # standard deviations, times the scale of the residuals: larger ones are left out
+LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
+# Lower bound of the factor of the standard deviations of image points. Residuals alone are too small: errors along
+# epipolar lines go into the heights of points, and all rays of a track share the error of its first patch.
+LEAST_SCALE = 1.0
+FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
+ROUNDS = 5
+MEDIAN = 1.054  # median of the larger of two normal numbers
+WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
+
+
+class _Cauchy(AbstractLoss):
+    """Cauchy's loss with its width as an array: least squares, by a large width, is then the same program."""
+
+    width: Scalar
+
+    def rho(self, squared: Numbers) -> Numbers:
+        return self.width**2 * jnp.log1p(squared / self.width**2)
+
+    def weight(self, squared: Numbers) -> Numbers:
+        return 1.0 / (1.0 + squared / self.width**2)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Images adjusted by their tie points.
+
+    `adjustment` has the adjusted orientations with their covariances; the standard deviations of image points were
+    multiplied by `scale`, so that the residuals match them. `rms_before` and `rms_after` are RMS residuals of the same
+    measurements in px per axis: with the orientations of the navigation, and the adjusted ones. `moved` (n, 3) in m and
+    `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north, up), rotation about the
+    camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation. `left_out` measurements
+    did not fit. `unconnected` names the images that no tie points join to these.
+    """
+
+    views: Views
+    adjustment: Adjustment
+    scale: float
+    rms_before: float
+    rms_after: float
+    moved: np.ndarray
+    turned: np.ndarray
+    sigmas: np.ndarray
+    left_out: int
+    unconnected: list[str]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the adjusted images."""
+        return [str(name) for name in self.adjustment.images.name]
+
+    @property
+    def doubtful(self) -> list[str]:
+        """Names of images whose correction exceeds four standard deviations of their navigation."""
+        return [name for name, sigma in zip(self.names, self.sigmas, strict=True) if sigma > FAR]
+
+    @property
+    def sigma_of_mean(self) -> np.ndarray:
+        """Standard deviations (3,) in m, east, north, up, of the mean position of the adjusted images.
+
+        Tie points do not see it. It is that of the navigation if its errors are independent between images; an error
+        common to all positions is larger and remains.
+        """
+        rows = _rows(self.views, self.names)
+        return np.sqrt(np.diagonal(self.views.covariance, axis1=1, axis2=2)[rows, :3].sum(axis=0)) / len(rows)
+
+    def words(self) -> str:
+        """What the images alone do not show, as sentences."""
+        east, north, up = self.sigma_of_mean
+        lines = [
+            f"Images alone do not show a shift of all positions: it stays that of the navigation, {east:.3g}, "
+            f"{north:.3g}, {up:.3g} m (E, N, U; one sigma if the errors are independent between images)."
+        ]
+        if self.unconnected:
+            some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
+            lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
+        if self.doubtful:
+            some = ", ".join(self.doubtful[:10]) + (" ..." if len(self.doubtful) > 10 else "")
+            lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors: {some}.")
+        return "\n".join(lines)
+
+
+def correct(
+    views: Views, ties: Ties | ImagePoints, unknowns: Unknowns | None = None, terrain: HeightObservations | None = None
+) -> Correction:
+    """Adjust the orientations of images by tie points among them.
+
+    The navigation is the prior of every image, with its covariance, and the only datum: position, orientation and scale
+    of the whole come from it. The largest connected part is adjusted. First with a robust loss (Cauchy), and without
+    measurements off by more than four standard deviations, scaled by the median residual; then by least squares of the
+    rest, whose standard deviations are scaled by the residuals. `unknowns` adds a self-calibration (`images` are always
+    free), `terrain` observations of the heights of the points.
+
+    Raises `ValueError` without tie points between any two images, and as `jaxgeo.adjust.adjust`.
+    """
+    check_is(views, Views, "views")
+    observations = ties.observations if isinstance(ties, Ties) else ties
+    if observations is None:
+        raise ValueError(
+            "no two images share a tie point; nothing can be adjusted. Check the navigation and the datum of its "
+            "heights, or allow larger errors."
+        )
+    unknowns = Unknowns() if unknowns is None else unknowns
+    given = len(observations)
+    while True:
+        part = connected(views.name, observations)[0]
+        if len(part) < 2:
+            raise ValueError(
+                "no two images share enough tie points to be adjusted; check the navigation and its errors."
+            )
+        block = _block(views, _of_images(observations, part))
+        kept, values, scale = _robust(block, unknowns, terrain)
+        left = block.observations.of(kept.rows)
+        if set(connected(views.name, left)[0]) >= {str(name) for name in block.images.name}:
+            break
+        observations = left  # an image has lost its ties
+    found, scale = _final(block, unknowns, terrain, kept, values, scale)
+    return _correction(views, found, scale, given)
+
+
+def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None) -> tuple[Kept, Values, float]:
+    """(the measurements that fit, the robust solution, the scale of the residuals)."""
+    kept = screened_of(block, unknowns, SIGMAS).kept
+    full = prepared(block, unknowns, terrain, set_aside(block, kept))
+    values, scale = None, 1.0
+    for _ in range(ROUNDS):
+        solution = solve(masked(block, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
+        values = solution.values
+        sizes = np.max(np.abs(np.asarray(image_residuals(full.problem, values)).T[full.order.place]), axis=1)
+        scale = max(float(np.median(sizes[kept.rows])) / MEDIAN, LEAST_SCALE)
+        before, kept = kept, Kept((sizes <= OUTLIER * scale) & _in_view(full, values), kept.control).whole(block)
+        if np.array_equal(before.rows, kept.rows) or not kept.leaves_every_image(block):
+            break
+    assert values is not None
+    return kept, values, scale
+
+
+def _in_view(full: Prepared, values: Values) -> np.ndarray:
+    return np.asarray(in_view(full.problem, values))[full.order.place]
+
+
+def _final(
+    block: Block,
+    unknowns: Unknowns,
+    terrain: HeightObservations | None,
+    kept: Kept,
+    values: Values,
+    scale: float,
+) -> tuple[Adjustment, float]:
+    """(least-squares adjustment of the kept measurements, the factor of their standard deviations)."""
+    for last in (False, True):
+        observed = replace(block.observations, sigma=block.observations.sigma * scale)
+        scaled = replace(block, observations=observed)
+        ready = masked(scaled, prepared(scaled, unknowns, terrain, set_aside(scaled, kept)), kept)
+        solution = solve(ready.problem, _Cauchy(jnp.asarray(WIDEST)), start=values)
+        values = solution.values
+        if not last:
+            residuals = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
+            freedom = max(2 * len(residuals) - 6 * len(block.images) - 3 * len(ready.names.point), 1)
+            scale = max(scale * float(np.sqrt(np.sum(residuals**2) / freedom)), LEAST_SCALE)
+    screen = Screen(kept)
+    return adjusted(block_of(scaled, kept), unknowns, ready, solution, LeastSquares(), None, screen), scale
+
+
+def _of_images(observations: ImagePoints, names: list[str]) -> ImagePoints:
+    return observations.of(np.isin(observations.image, names)).seen_often()
+
+
+def _block(views: Views, observations: ImagePoints) -> Block:
+    """The block of those images that have observations."""
+    rows = np.flatnonzero(np.isin(views.name, observations.image))
+    images = Images(views.name[rows], views.camera[rows], views.centre[rows], views.R_frame_from_camera[rows])
+    cameras = {name: views.cameras[name] for name in dict.fromkeys(images.camera.tolist())}
+    return Block(views.frame, cameras, images, observations, navigation=_some(_navigation(views), rows))
+
+
+def _navigation(views: Views) -> Navigation:
+    """Navigation of the cameras themselves: perspective centres, and rotations about the camera's axes."""
+    count, eye = len(views), np.eye(3)
+    each = np.broadcast_to(eye, (count, 3, 3))
+    position, attitude = (views.covariance[:, part, part] for part in (np.s_[:3], np.s_[3:]))
+    zero = np.zeros(3)
+    return Navigation(
+        position=views.centre,
+        R_frame_from_body=views.R_frame_from_camera,
+        R_frame_from_reference=views.R_frame_from_camera,
+        R_base_from_head=each,
+        information_position=_information(position, LEAST_POSITION),
+        information_attitude=_information(attitude, LEAST_ATTITUDE),
+        mount=views.camera,
+        strip=np.full(count, "strip"),
+        time=np.zeros(count),
+        mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
+    )
+
+
+def _information(covariance: np.ndarray, least: float) -> np.ndarray:
+    return np.linalg.inv(np.linalg.cholesky(covariance + least**2 * np.eye(3)))
+
+
+def _some(navigation: Navigation, rows: np.ndarray) -> Navigation:
+    arrays = {name: getattr(navigation, name)[rows] for name in Navigation.__dataclass_fields__ if name != "mounts"}
+    return Navigation(**arrays, mounts=navigation.mounts)
+
+
+def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Correction:
+    rows = _rows(views, [str(name) for name in found.images.name])
+    moved = found.images.centre - views.centre[rows]
+    turn = np.swapaxes(views.R_frame_from_camera[rows], 1, 2) @ found.images.R_frame_from_camera
+    turned = _vectors(turn)
+    sigma = np.sqrt(np.diagonal(views.covariance[rows], axis1=1, axis2=2))
+    sigma = np.maximum(sigma, np.repeat([LEAST_POSITION, LEAST_ATTITUDE], 3))
+    names = {str(name) for name in found.images.name}
+    return Correction(
+        views=views,
+        adjustment=found,
+        scale=scale,
+        rms_before=_rms_of_rays(_block(views, found.block.observations)),
+        rms_after=float(np.sqrt(np.mean(found.residuals**2))),
+        moved=moved,
+        turned=turned,
+        sigmas=np.max(np.abs(np.concatenate([moved, turned], axis=1)) / sigma, axis=1),
+        left_out=given - len(found.block.observations),
+        unconnected=[str(name) for name in views.name if str(name) not in names],
+    )
+
+
+def _rms_of_rays(block: Block) -> float:
+    """RMS distance per axis in px of the measurements from the points where their rays come closest."""
+    rays = Rays.of(block)
+    focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
+    each = np.array([focal[str(name)] for name in block.images.camera])[rays.image]
+    return float(np.sqrt(0.5 * np.mean((rays.residual * rays.sigma * each) ** 2)))
+
+
+def _vectors(turn: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) of rotations (n, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(turn).as_rotvec()
+
+
+def _rows(views: Views, names: list[str]) -> np.ndarray:
+    index = {str(name): row for row, name in enumerate(views.name)}
+    return np.array([index[name] for name in names], int)

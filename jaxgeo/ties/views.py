@@ -1,0 +1,237 @@
+"""Views: images with their navigation, its covariance, and the projection of ground points into them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxgeo._checks import as_float64, check_is, require_x64
+from jaxgeo._compile import quick_filter_jit
+from jaxgeo._typing import Matrix3, Vector3
+from jaxgeo.adjust import Images, LocalFrame
+from jaxgeo.adjust.block import frame_at
+from jaxgeo.adjust.records import Names, as_names
+from jaxgeo.earth import Geodetic
+from jaxgeo.observation import Exposure
+from jaxgeo.sensor import FrameCamera, Shot
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+from jaxgeo.uncertainty import ErrorModel, sources
+from jaxgeo.uncertainty.model_inputs import ModelInputs
+
+# Sources that move the perspective centre or turn the camera of one image.
+OF_POSES = (
+    sources.Attitude,
+    sources.Boresight,
+    sources.CameraMounting,
+    sources.Correlated,
+    sources.GimbalAngles,
+    sources.GimbalMounting,
+    sources.LeverArm,
+    sources.Position,
+)
+CHUNK = 256  # points per call: one size, so that other counts need no compilation
+
+
+@dataclass(frozen=True)
+class Views:
+    """n images of frame cameras with their navigation and its covariance.
+
+    `name` (n,) are unique names, `exposure` n exposures with a `Shot` each, `camera` (n,) the names of their `cameras`.
+    `frame` is an east-north-up frame at the centre of the images; in it, in m, `centre` (n, 3) are the perspective
+    centres and `R_frame_from_camera` (n, 3, 3) the orientations (camera right, down, forward). `covariance` (n, 6, 6)
+    is that of their navigation errors: centre in m (frame axes), rotation in rad about the camera's axes.
+    """
+
+    name: Names
+    exposure: tuple[Exposure, ...]
+    camera: Names
+    cameras: dict[str, FrameCamera]
+    frame: LocalFrame
+    centre: np.ndarray
+    R_frame_from_camera: np.ndarray
+    covariance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    @classmethod
+    def of(cls, name: Any, exposures: Sequence[Exposure], errors: Sequence[Any]) -> Views:
+        """Views from exposures and their error sources: a model, or a tuple of sources, for each image.
+
+        Only errors of position, attitude, gimbal and mounting count. Images with equal cameras share one, named
+        "camera 1" and so on. Raises `TypeError` for other cameras than frame cameras and for moving sensors,
+        `ValueError` for no images, duplicate names, counts that differ, and an image whose navigation has no error of
+        position or of attitude: without one nothing is adjusted, and no search area is known.
+        """
+        require_x64()
+        names, exposures = as_names(name, "name"), tuple(exposures)
+        if not exposures:
+            raise ValueError("there are no images; give at least two.")
+        if not len(names) == len(exposures) == len(errors):
+            raise ValueError(
+                f"name, exposures and errors must have one entry for each image; got {len(names)}, {len(exposures)} "
+                f"and {len(errors)}."
+            )
+        exposures = tuple(_checked(one, exposure) for one, exposure in zip(names, exposures, strict=True))
+        frame = frame_at(_stacked([_shot(one).pose.position for one in exposures]))
+        camera, cameras = _cameras_of(exposures)
+        found = [_oriented(frame, one, _pose_errors(given)) for one, given in zip(exposures, errors, strict=True)]
+        centre, R, covariance = (np.stack([np.asarray(one[k]) for one in found]) for k in range(3))
+        _check_covariances(names, covariance)
+        Images(names, camera, centre, R)  # raises for duplicate names and poses that are not finite
+        return cls(names, exposures, camera, cameras, frame, centre, R, covariance)
+
+    def inputs(self, row: int, terrain: AbstractTerrain) -> ModelInputs:
+        """Inputs of the forward model of an image."""
+        given = self.exposure[row]
+        return ModelInputs(Exposure(given.sensor, given.motion, jnp.zeros(()), given.atmosphere), terrain=terrain)
+
+    def camera_of(self, row: int) -> FrameCamera:
+        """The camera of an image."""
+        return self.cameras[self.camera[row]]
+
+
+class Projected(NamedTuple):
+    """Projections of points near planes: `nodes` (n, 3, 3, 2), pixels of a lattice (row, col) of the plane at -1, 0, 1
+    times its half width; derivatives of the pixel at the centre by the plane coordinates (row, col) in m, `by_plane`
+    (n, 2, 2), and by the errors of the pose, `by_pose` (n, 2, 6); whether all nodes have a pixel, and the centre is
+    on the image."""
+
+    nodes: Float[Any, "n 3 3 2"]
+    by_plane: Float[Any, "n 2 2"]
+    by_pose: Float[Any, "n 2 6"]
+    visible: Bool[Any, " n"]
+
+
+def project_planes(
+    camera: FrameCamera, centre: Any, R_frame_from_camera: Any, origin: Any, axes: Any, half: Any
+) -> Projected:
+    """Projections of plane patches: `origin` (n, 3) in the frame, `axes` (n, 2, 3) unit vectors of rows and columns,
+    `half` (2,) half widths along rows and columns in m."""
+    count = len(origin)
+    size = max(-(-count // CHUNK), 1) * CHUNK
+    padded = [np.resize(np.asarray(one, np.float64), (size, *np.shape(one)[1:])) for one in (origin, axes)]
+    centre, R, half = jnp.asarray(centre), jnp.asarray(R_frame_from_camera), jnp.asarray(half, jnp.float64)
+    parts = []
+    for k in range(0, size, CHUNK):
+        points, directions = (jnp.asarray(one[k : k + CHUNK]) for one in padded)
+        parts.append(_project_planes(camera, centre, R, points, directions, half))
+    nodes, by_plane, by_pose, visible = (
+        np.concatenate([np.asarray(one[k]) for one in parts])[:count] for k in range(4)
+    )
+    return Projected(nodes, by_plane, by_pose, visible)
+
+
+@quick_filter_jit
+def _project_planes(
+    camera: FrameCamera,
+    centre: Vector3,
+    R: Matrix3,
+    origin: Float[Array, "n 3"],
+    axes: Float[Array, "n 2 3"],
+    half: Float[Array, "2"],
+) -> Projected:
+    steps = jnp.stack(jnp.meshgrid(*2 * [jnp.array([-1.0, 0.0, 1.0])], indexing="ij"), axis=-1) * half[None, None, :]
+
+    def one(origin: Vector3, axes: Float[Array, "2 3"]) -> tuple[Array, ...]:
+        def pixel(step: Float[Array, "2"], error: Float[Array, "6"]) -> Array:
+            away = R.T @ (origin + step @ axes - centre - error[:3])
+            away = away - jnp.cross(error[3:], away)  # transposed small rotation of the camera
+            u, v, _ = camera.project_many(*away)
+            return jnp.stack([u, v])
+
+        place = ((origin - centre)[None, None, :] + steps @ axes) @ R
+        u, v, status = camera.project_many(place[..., 0], place[..., 1], place[..., 2])
+        by_plane, by_pose = jax.jacfwd(pixel, argnums=(0, 1))(jnp.zeros(2), jnp.zeros(6))
+        known = jnp.all(jnp.isfinite(u) & jnp.isfinite(v)) & jnp.all(jnp.isfinite(by_pose))
+        return jnp.stack([u, v], axis=-1), by_plane, by_pose, known & (status[1, 1] == Status.hit.code)
+
+    return Projected(*jax.vmap(one)(origin, axes))
+
+
+def _shot(exposure: Exposure) -> Shot:
+    assert isinstance(exposure.motion, Shot)
+    return exposure.motion
+
+
+def _checked(name: str, exposure: Exposure) -> Exposure:
+    check_is(exposure, Exposure, f"exposure of image {name}")
+    check_is(exposure.sensor.camera, FrameCamera, f"camera of image {name}", "Tie points are of frame cameras.")
+    check_is(exposure.motion, Shot, f"motion of image {name}", "Take the shot of a trajectory at the exposure time.")
+    return as_float64(exposure, f"exposure of image {name}")
+
+
+def _stacked(items: Sequence[Geodetic]) -> Geodetic:
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(one) for one in leaves]), *items)
+
+
+def _cameras_of(exposures: Sequence[Exposure]) -> tuple[Names, dict[str, FrameCamera]]:
+    """(name of each image's camera, cameras by name)."""
+    cameras: dict[str, FrameCamera] = {}
+    names = []
+    for exposure in exposures:
+        camera = exposure.sensor.camera
+        assert isinstance(camera, FrameCamera)
+        same = next((name for name, one in cameras.items() if one is camera or _are_equal(one, camera)), None)
+        if same is None:
+            same = f"camera {len(cameras) + 1}"
+            cameras[same] = camera
+        names.append(same)
+    return np.array(names), cameras
+
+
+def _are_equal(one: Any, other: Any) -> bool:
+    a, b = jax.tree.leaves(one), jax.tree.leaves(other)
+    if jax.tree.structure(one) != jax.tree.structure(other):
+        return False
+    return all(np.array_equal(np.asarray(x), np.asarray(y)) for x, y in zip(a, b, strict=True))
+
+
+def _pose_errors(errors: Any) -> ErrorModel:
+    """Those sources of a model that move the pose."""
+    given = errors.sources if isinstance(errors, ErrorModel) else errors
+    given = given if isinstance(given, tuple | list) else (given,)
+    return as_float64(ErrorModel(tuple(one for one in given if isinstance(one, OF_POSES))), "errors")
+
+
+@quick_filter_jit
+def _oriented(frame: LocalFrame, exposure: Exposure, model: ErrorModel) -> tuple[Vector3, Matrix3, Float[Array, "6 6"]]:
+    """(perspective centre and orientation in the frame, their covariance) of an image."""
+    inputs = ModelInputs(exposure, terrain=ConstantHeight(jnp.zeros(())))
+    R_local = frame.R_ecef_from_local.T
+
+    def pose(error: Array) -> tuple[Vector3, Matrix3]:
+        moved = model.moved(inputs, error)
+        assert isinstance(moved.motion, Shot)
+        sight = moved.sensor.sight(moved.motion)
+        return frame.from_ecef(sight.centre), R_local @ sight.R_ecef_from_camera
+
+    centre, R = pose(jnp.zeros(model.size))
+
+    def offset(error: Array) -> Array:
+        there, turned = pose(error)
+        turn = R.T @ turned
+        skew = 0.5 * (turn - turn.T)
+        return jnp.concatenate([there - centre, jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])])
+
+    by_error = jax.jacfwd(offset)(jnp.zeros(model.size))
+    return centre, R, by_error @ model.covariance() @ by_error.T
+
+
+def _check_covariances(names: np.ndarray, covariance: np.ndarray) -> None:
+    for what, part in (("position", np.s_[:3]), ("attitude", np.s_[3:])):
+        spread = np.trace(covariance[:, part, part], axis1=1, axis2=2)
+        if not np.all(spread > 0.0):
+            row = int(np.argmin(spread > 0.0))
+            raise ValueError(
+                f"image {names[row]}: the navigation has no error of {what}; the search area and the weight of the "
+                f"navigation depend on it. Add a source such as "
+                f"{'Position.from_ned(...)' if what == 'position' else 'Attitude.from_degrees(...)'}."
+            )

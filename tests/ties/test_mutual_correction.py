@@ -1,0 +1,139 @@
+"""Tie points between rendered images, and the navigation that they correct: against the poses that rendered them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.drone_strip import ERRORS, SENSOR, Strip, ground, strip, views_of
+
+from jaxgeo import Exposure
+from jaxgeo.adjust import ImagePoints
+from jaxgeo.ties import Correction, Matching, Ties, Views, candidate_pairs, correct, find_ties
+from jaxgeo.ties.views import project_planes
+
+pytestmark = pytest.mark.costly
+
+OFF = 3.0  # m: error of the terrain's height
+MATCHING = Matching(sigma_height=4.0)
+
+
+@pytest.fixture(scope="module")
+def here() -> Strip:
+    return strip()
+
+
+@pytest.fixture(scope="module")
+def ties(here: Strip) -> Ties:
+    return find_ties(here.views, ground(OFF), here.pictures, MATCHING, points=48)
+
+
+@pytest.fixture(scope="module")
+def corrected(here: Strip, ties: Ties) -> Correction:
+    return correct(here.views, ties)
+
+
+def errors_of(here: Strip, found: Correction) -> np.ndarray:
+    """Errors (n, 6) of the adjusted orientations: centre in m, rotation about the camera's axes in rad."""
+    true = views_of(here.names, here.true)
+    rows = [here.names.index(name) for name in found.names]
+    origin = np.asarray(found.views.frame.to_ecef(found.adjustment.images.centre))
+    away = (origin - np.asarray(true.frame.to_ecef(true.centre[rows]))) @ np.asarray(true.frame.R_ecef_from_local)
+    turn = np.swapaxes(true.R_frame_from_camera[rows], 1, 2) @ found.adjustment.images.R_frame_from_camera
+    return np.concatenate([away, Rotation.from_matrix(turn).as_rotvec()], axis=1)
+
+
+def off_true_rays(here: Strip, observed: ImagePoints) -> np.ndarray:
+    """Distances (n,) in px of measurements from the ground that the first image of a point shows, by the true poses."""
+    true = views_of(here.names, here.true)
+    off = []
+    level = float(np.asarray(true.frame.from_geodetic(here.true[0].pose.position))[2]) - 150.0
+    for point in np.unique(observed.point):
+        rows = np.flatnonzero(observed.point == point)
+        image = [here.names.index(name) for name in observed.image[rows]]
+        uv = observed.uv[rows]
+        camera = true.cameras["camera 1"]
+        ray = np.append((uv[0] - np.asarray(camera.principal_px)) / np.asarray(camera.focal_px), 1.0)
+        ray = true.R_frame_from_camera[image[0]] @ ray
+        place = true.centre[image[0]] + ray * (level - true.centre[image[0], 2]) / ray[2]
+        axes = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]])
+        for k in range(1, len(rows)):
+            pose = true.centre[image[k]], true.R_frame_from_camera[image[k]]
+            found = project_planes(camera, *pose, place[None], axes, [1, 1])
+            off.append(np.linalg.norm(found.nodes[0, 1, 1] - uv[k]))
+    return np.array(off)
+
+
+def test_neighbours_are_paired(here: Strip) -> None:
+    pairs = [pair[:2] for pair in candidate_pairs(here.views, ground())]
+    assert {(0, 1), (1, 2), (2, 3)} <= set(pairs)
+    assert not any(4 in pair for pair in pairs)
+
+
+def test_ties_are_where_the_true_poses_have_them(here: Strip, ties: Ties) -> None:
+    assert ties.observations is not None
+    off = off_true_rays(here, ties.observations)
+    assert len(off) > 60
+    assert np.median(off) < 0.15  # px
+    assert np.mean(off > 1.0) < 0.03
+
+
+def test_an_unconnected_image_is_named(ties: Ties, corrected: Correction) -> None:
+    assert ties.unconnected == corrected.unconnected == ["image 4"]
+    assert "image 4" in corrected.words()
+    assert "shift of all positions" in corrected.words()
+
+
+def test_errors_are_as_predicted(here: Strip, corrected: Correction) -> None:
+    """The prediction is not too small; of relative errors it is too large, as these images are very sharp."""
+    assert corrected.rms_before > 0.5
+    assert corrected.rms_after < 0.1 * corrected.rms_before
+    errors = errors_of(here, corrected).ravel()
+    covariance = corrected.adjustment.covariance
+    squared = errors @ np.linalg.solve(covariance, errors)
+    assert squared < 24 + 3.5 * np.sqrt(48)  # chi-square of 24 errors
+    assert np.max(np.abs(errors) / np.sqrt(np.diagonal(covariance))) > 0.5
+
+
+def test_neighbours_agree_better_than_by_navigation(here: Strip, corrected: Correction) -> None:
+    """Relative position of rectified neighbours: how far one ground point is apart in two images."""
+    true = views_of(here.names, here.true)
+
+    def apart(R: np.ndarray, centre: np.ndarray) -> float:
+        shifts = []
+        for k in range(4):
+            look = true.centre[k] + true.R_frame_from_camera[k][:, 2] * 150.0 / -true.R_frame_from_camera[k][2, 2]
+            ray = R[k] @ (true.R_frame_from_camera[k].T @ (look - true.centre[k]))
+            shifts.append((centre[k] + ray * (look[2] - centre[k][2]) / ray[2] - look)[:2])
+        return float(np.sqrt(np.mean(np.diff(shifts, axis=0) ** 2)))
+
+    given, found = here.views, corrected.adjustment.images
+    moved = np.asarray(true.frame.from_ecef(np.asarray(given.frame.to_ecef(found.centre))))
+    before = apart(
+        given.R_frame_from_camera, np.asarray(true.frame.from_ecef(np.asarray(given.frame.to_ecef(given.centre))))
+    )
+    after = apart(found.R_frame_from_camera, moved)
+    assert after < before / 3.0
+
+
+def test_wrong_matches_are_left_out(here: Strip, ties: Ties, corrected: Correction) -> None:
+    observed = ties.observations
+    assert observed is not None
+    rng = np.random.default_rng(3)
+    wrong = rng.random(len(observed)) < 0.3
+    uv = np.where(wrong[:, None], rng.uniform([0.0, 0.0], [255.0, 191.0], (len(observed), 2)), observed.uv)
+    found = correct(here.views, ImagePoints(observed.image, observed.point, uv, observed.sigma))
+    assert found.unconnected == ["image 4"]
+    away = found.adjustment.images.centre - corrected.adjustment.images.centre
+    assert np.max(np.abs(away) / corrected.adjustment.sigma_of_images[:, :3]) < 4.0
+    assert found.left_out >= 0.8 * np.count_nonzero(wrong)
+
+
+def test_blocks_that_cannot_be_tied_are_refused(here: Strip) -> None:
+    with pytest.raises(ValueError, match="two images or more"):
+        find_ties(views_of(here.names[:1], here.given[:1]), ground(), here.pictures)
+    with pytest.raises(ValueError, match="no two of 2 images overlap"):
+        find_ties(views_of(["a", "b"], [here.given[0], here.given[4]]), ground(), here.pictures)
+    views = [Exposure(SENSOR, here.given[0])] * 2
+    with pytest.raises(ValueError, match="no error of position"):
+        Views.of(["a", "b"], views, [ERRORS[1:], ERRORS[1:]])
