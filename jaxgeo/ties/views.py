@@ -66,7 +66,7 @@ class Views:
         """Views from exposures and their error sources: a model, or a tuple of sources, for each image.
 
         Only errors of position, attitude, gimbal and mounting count. Images with equal cameras share one, named
-        "camera 1" and so on. Raises `TypeError` for other cameras than frame cameras and for moving sensors,
+        "1", "2" and so on. Raises `TypeError` for other cameras than frame cameras and for moving sensors,
         `ValueError` for no images, duplicate names, counts that differ, and an image whose navigation has no error of
         position or of attitude: without one nothing is adjusted, and no search area is known.
         """
@@ -181,7 +181,7 @@ def _cameras_of(exposures: Sequence[Exposure]) -> tuple[Names, dict[str, FrameCa
         assert isinstance(camera, FrameCamera)
         same = next((name for name, one in cameras.items() if one is camera or _are_equal(one, camera)), None)
         if same is None:
-            same = f"camera {len(cameras) + 1}"
+            same = str(len(cameras) + 1)
             cameras[same] = camera
         names.append(same)
     return np.array(names), cameras

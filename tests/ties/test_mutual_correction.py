@@ -52,7 +52,7 @@ def off_true_rays(here: Strip, observed: ImagePoints) -> np.ndarray:
         rows = np.flatnonzero(observed.point == point)
         image = [here.names.index(name) for name in observed.image[rows]]
         uv = observed.uv[rows]
-        camera = true.cameras["camera 1"]
+        camera = true.cameras["1"]
         ray = np.append((uv[0] - np.asarray(camera.principal_px)) / np.asarray(camera.focal_px), 1.0)
         ray = true.R_frame_from_camera[image[0]] @ ray
         place = true.centre[image[0]] + ray * (level - true.centre[image[0], 2]) / ray[2]
