@@ -34,6 +34,7 @@ LINES = {
     "plan": f"{SCENE} --navigation flight.csv --overlap 0.5 -o out.csv",
     "accuracy-map": f"{SCENE} --resolution 100 -o out.tif",
     "rectify": f"image.tif {SCENE} -o out.tif",
+    "adjust": f"images --camera-datum ellipsoid --dem {URL} -o out",
     "register": f"image.tif {SCENE} --reference ortho.tif --position-sigma 20 --attitude-sigma 0.3 -o out",
     "validate": f"{SCENE} --points points.csv --points-datum ellipsoid",
     "study gu2017": f"{SCENE} --image image.tif --reference ortho.tif",

@@ -5,7 +5,7 @@ from jaxgeo.ties.correction import Correction, correct
 from jaxgeo.ties.matching import Matching, PairMatches, TieOutcome, match_pair
 from jaxgeo.ties.pairs import Pair, candidate_pairs
 from jaxgeo.ties.pictures import Pictures
-from jaxgeo.ties.tracks import Tracks, connected
+from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "Pictures",
     "TieOutcome",
     "Ties",
-    "Tracks",
     "Views",
     "candidate_pairs",
     "connected",

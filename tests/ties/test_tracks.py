@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from jaxgeo import ConstantHeight
-from jaxgeo.ties import Matching, PairMatches, Pictures, TieOutcome, Tracks, Views, connected, find_ties
+from jaxgeo.ties import Matching, PairMatches, Pictures, TieOutcome, Views, connected, find_ties
 from jaxgeo.ties.interest import cell_of, interest_points
 from jaxgeo.ties.pictures import sample
+from jaxgeo.ties.tracks import Tracks
 
 NAMES = np.array(["a", "b", "c", "d"])
 
