@@ -16,7 +16,7 @@ import pytest
 import rasterio
 from support.command_files import prepare
 from support.tile_server import Served, serving, write_archive, write_geoid
-from test_cli_dem import LINES, SCENE, commands_with_dem
+from test_cli_dem import LINES, URL, commands_with_dem
 from typer.testing import CliRunner
 
 import jaxgeo
@@ -125,7 +125,7 @@ def test_every_command_with_a_dem_takes_an_archive(
         raise Reached("reached")
 
     monkeypatch.setattr("jaxgeo.io.archives.fetch_dem", fetch_dem)
-    line = f"{name} {LINES[name].replace(SCENE, '--scene scene.toml --dem copernicus')}"
+    line = f"{name} {LINES[name].replace(URL, 'copernicus')}"
     prepare(pathlib.Path(), line)
     plain = run(f"{line} --mirror http://host --proxy http://proxy:1 --offline")
     assert plain.exit_code == 2, plain.output
