@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.adjust import LocalFrame
 from jaxgeo.earth import WGS84, R_ecef_from_enu
@@ -70,7 +70,7 @@ def _fit_planes(
     return up, normal, lift, known
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def _fit_chunk(
     frame: LocalFrame, terrain: AbstractTerrain, points: Float[Array, "n 3"], reach: Scalar
 ) -> tuple[Array, Array, Array, Array]:

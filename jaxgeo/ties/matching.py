@@ -285,7 +285,6 @@ def _total(matches: Matches, before: np.ndarray, by_height: np.ndarray, how: Mat
 def _judged(matches: Matches, chosen: Chosen, score: np.ndarray, how: Matching) -> np.ndarray:
     """Outcomes by threshold, uniqueness and agreement."""
     outcome = np.full(len(score), TieOutcome.tied, np.int8)
-    n = len(score)
     scores = np.where(matches.is_candidate, matches.score, -np.inf)
     own = np.arange(scores.shape[1])[None, :] == np.asarray(chosen.peak)[:, None]
     rival = np.max(np.where(own, -np.inf, scores), axis=1, initial=-np.inf)
@@ -294,7 +293,6 @@ def _judged(matches: Matches, chosen: Chosen, score: np.ndarray, how: Matching) 
         outcome[score < how.least_score] = TieOutcome.low_correlation
     outcome[~chosen.is_chosen] = TieOutcome.off_epipolar
     outcome[np.asarray(matches.outcome) != BlockOutcome.matched] = TieOutcome.not_found
-    assert outcome.shape == (n,)
     return outcome
 
 
