@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
@@ -80,7 +81,7 @@ def make_scene(
     azimuth = rng.uniform(0.0, 2.0 * np.pi, rays)
     altitude = max(ALTITUDE, float(posts.max()) + 1000.0)
     mean, depression = float(posts.mean()), float(depression)
-    made = _rays_through(dem, jnp.asarray(rowcol), jnp.asarray(azimuth), mean, depression, altitude)
+    made = _rays_through(dem, rowcol, azimuth, mean, depression, altitude)
     return Scene(name, dem, made, float(rms_slope), depression)
 
 
@@ -98,7 +99,12 @@ def _ray_through(
     return Ray(p_ecef - far * direction, direction)
 
 
-_rays_through = jax.jit(jax.vmap(_ray_through, (None, 0, 0, None, None, None)))
+_many_through = batch_filter_jit(jax.vmap(_ray_through, (None, 0, 0, None, None, None)))
+
+
+def _rays_through(dem: Dem, rowcol: np.ndarray, azimuth: np.ndarray, *numbers: float) -> Ray:
+    """Rays through (n, 2) places at azimuths (n,) in rad; `numbers` are height, depression and altitude."""
+    return _many_through(dem, jnp.asarray(rowcol), jnp.asarray(azimuth), *(jnp.asarray(float(x)) for x in numbers))
 
 
 def profile_dem(heights: np.ndarray, spacing: float, *, width: int = 5) -> Dem:
@@ -109,13 +115,13 @@ def profile_dem(heights: np.ndarray, spacing: float, *, width: int = 5) -> Dem:
 def profile_ray(dem: Dem, ahead: float, height: float, *, depression: float, altitude: float) -> Ray:
     """A ray along a `profile_dem`: from `altitude` m through the point `ahead` m beyond the centre at `height` m."""
     spacing = dem.grid.cell_size()[0]
-    middle = 0.5 * (jnp.asarray(dem.extent) - 1).astype(jnp.float64)
-    rowcol = middle + jnp.stack([ahead / spacing, jnp.zeros(())])
-    rays = _rays_through(dem, rowcol[None], jnp.asarray([jnp.pi]), float(height), float(depression), float(altitude))
+    middle = 0.5 * (np.asarray(dem.extent) - 1.0)
+    rowcol = middle + np.array([ahead / spacing, 0.0])
+    rays = _rays_through(dem, rowcol[None], np.array([np.pi]), height, depression, altitude)
     return jax.tree.map(lambda x: x[0], rays)
 
 
-@jax.jit
+@batch_filter_jit
 def profile_under(ray: Ray, dem: Dem, distance: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Heights in m of a ray and of the ground below it at ranges (n,) in m; outside the grid, of its edge."""
 
