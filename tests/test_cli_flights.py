@@ -1,4 +1,4 @@
-"""Flights of `jaxgeo plan` from the exposures of a file, and footprints of such exposures on level ground."""
+"""Flights of `jaxgeo plan` from the exposures of a file, and images of such exposures on level ground."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from jaxgeo.cli._flights import flight_of
 from jaxgeo.io import read_navigation, read_observations
 from tests.io.test_flight_log_programs import litchi
 
+SCALE = 400.0 * 2.41e-6 / 8.8e-3  # m of ground at 500 m in a pixel, seen from 900 m
 CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
 SECONDS = ("31.000", "32.000", "33.500")
 
@@ -76,11 +77,10 @@ def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Pat
     assert result.exit_code == 0, result.output
     assert "SimpleFill" in output.with_suffix(".qml").read_text(encoding="utf-8")
     (found,) = json.loads(result.stdout)["footprints"]
-    scale = 400.0 * 2.41e-6 / 8.8e-3  # m of the ground in a pixel
     assert found["area_km2"] == pytest.approx(
-        1e-6 * 5472 * 3648 * scale**2, rel=3e-4
+        1e-6 * 5472 * 3648 * SCALE**2, rel=3e-4
     )  # the area is that on the ellipsoid, below
-    assert found["columns_m"] == pytest.approx(scale, rel=1e-4)
+    assert found["columns_m"] == pytest.approx(SCALE, rel=1e-4)
     for wrong, words in (
         ([], "give the ground: either --dem FILE, or --ground HEIGHT"),
         (["--ground", "1", "--style"], "--style needs --output FILE"),
@@ -90,3 +90,25 @@ def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Pat
         refused = CliRunner().invoke(app, [*line, *wrong])
         assert refused.exit_code == 2
         assert words in refused.stderr
+
+
+@pytest.mark.costly
+def test_overlap_on_level_ground_is_by_the_length_of_the_image(tmp_path: pathlib.Path) -> None:
+    """Straight down over level ground, images of one flight share all but the way between them."""
+    even = str(log(tmp_path, ("31.000", "32.000", "33.000"), (0, 0, 0)))
+    line = [even, "--takeoff-height", "600", "--camera", CAMERA, "--ground", "500"]
+    away = 1e-4 * 111_000.0  # m from an exposure to the next, within 0.1 %
+    result = CliRunner().invoke(app, ["overlap", *line, "--json"])
+    assert result.exit_code == 0, result.output
+    for pair in json.loads(result.stdout)["pairs"]:
+        assert pair["near"] == pytest.approx(1.0 - away / (3648 * SCALE), abs=1e-4)
+    output = tmp_path / "plan.csv"
+    result = CliRunner().invoke(app, ["plan", *line, "--overlap", "0.99", "--json", "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    planned = json.loads(result.stdout)["exposures"]
+    assert len(planned) >= 3
+    assert planned[1]["time_s"] - planned[0]["time_s"] == pytest.approx(0.01 * 3648 * SCALE / away, rel=2e-3)
+    for command in (["overlap", *line[:-2]], ["plan", *line[:-2], "--overlap", "0.99", "-o", str(output)]):
+        refused = CliRunner().invoke(app, command)
+        assert refused.exit_code == 2
+        assert "give the ground: either --dem FILE, or --ground HEIGHT" in refused.stderr

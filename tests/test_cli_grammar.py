@@ -199,6 +199,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"overlap {SCENE} --shots shots.csv {READING}",
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 {READING} -o out.csv",
     f"plan FILE --dem dem.tif --overlap 0.9 {FILE} -o out.csv",
+    f"plan FILE --ground 300 --dem-datum EPSG:5773 --overlap 0.9 {FILE} -o out.csv",
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
     f"adjust FILE --images i --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid --dem-sigma 2 "
@@ -209,6 +210,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
     f"overlap FILE --dem dem.tif {FILE}",
+    f"overlap FILE --ground 300 --dem-datum EPSG:5773 {FILE}",
     f"scene FILE {FILE} --scene camera.toml --camera-datum ellipsoid -o out.toml",
     f"register FILE --reference ortho.tif --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid "
     "-o out",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._inputs import as_datum, check_goes_with_dem
+from jaxgeo.cli._inputs import Look, as_datum, check_goes_with_dem, read_terrain
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.terrain import ConstantHeight
 
@@ -22,6 +23,17 @@ def check_ground(ground: GroundOptions) -> None:
     check_goes_with_dem(ground)
     if number_in(ground.level or "") is None:
         raise UserError(f"--ground {ground.level!r}: expected a height in m.")
+
+
+def terrain_of(ground: GroundOptions, shot: Callable[[], Any], look: Look) -> Any:
+    """The elevation model for the lines of sight of `look`, or level ground at the height above its datum that it has
+    at one `shot`."""
+    return level_at(shot(), ground) if ground.level is not None else read_terrain(ground.dem or [], ground, look)
+
+
+def with_ground(inputs: dict[str, Any]) -> dict[str, Any]:
+    """Given options by the names that they have on the command line."""
+    return {("ground" if name == "level" else name): value for name, value in inputs.items()}
 
 
 def level_at(shot: Any, ground: GroundOptions) -> ConstantHeight:

@@ -17,7 +17,7 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
-from jaxgeo.cli._level_ground import check_ground, level_at
+from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
@@ -63,8 +63,7 @@ def footprint_command(
     debug: Debug = False,
 ) -> None:
     """Image footprints on the terrain: outlines for a map, areas, and ground sample distance (GSD) at the centre."""
-    inputs = given_options(locals())
-    inputs |= {"ground": inputs.pop("level")} if "level" in inputs else {}
+    inputs = with_ground(given_options(locals()))
     with report_errors(debug):
         if output is not None:
             _check_output(output)

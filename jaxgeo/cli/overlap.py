@@ -18,8 +18,10 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_er
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures, sensors_differ
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of
-from jaxgeo.cli._options import Along, DemFiles, DemOptions, NavigationFile
+from jaxgeo.cli._inputs import check_no_overwrite, trajectory_of
+from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
+from jaxgeo.cli._locate_options import GroundOptions
+from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
@@ -52,13 +54,12 @@ class Format(StrEnum):
 
 def overlap_command(
     given: ExposureOrShotOptions,
-    dem: DemFiles,
+    ground: GroundOptions,
     navigation: NavigationFile = None,
     times: Annotated[
         str | None, typer.Option(metavar="TIMES", help="Exposure times T1,T2[,...], s, with --navigation.")
     ] = None,
     along: Along = None,
-    reading: DemOptions = DemOptions(),
     how: ReadingOptions = ReadingOptions(),
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, table on the terminal.")
@@ -71,13 +72,14 @@ def overlap_command(
     debug: Debug = False,
 ) -> None:
     """Overlap of consecutive images on the terrain, one row per pair."""
-    inputs = given_options(locals())
+    inputs = with_ground(given_options(locals()))
     with report_errors(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, given)
         if navigation is None:
             given.check(how)
-        check_no_overwrite("--output", output, [navigation, *given.inputs(how)], dem, reading)
+        check_ground(ground)
+        check_no_overwrite("--output", output, [navigation, *given.inputs(how)], ground.dem, ground)
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
             from jaxgeo.status import Status
@@ -89,9 +91,8 @@ def overlap_command(
             else:
                 images = given.read(how, "overlap without --shots")
                 _check_several(images, given)
-            rows = _overlaps(
-                images.exposures, read_terrain(dem, reading, images.view), None if along is None else along.value
-            )
+            terrain = terrain_of(ground, lambda: images.exposures[0].shot, images.view)
+            rows = _overlaps(images.exposures, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:
                 _write(rows, chosen, stream)

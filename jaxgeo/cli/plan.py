@@ -15,8 +15,10 @@ from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
 from jaxgeo.cli._flights import FlightOptions
-from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, view_of_shots
-from jaxgeo.cli._options import Along, DemFiles, DemOptions
+from jaxgeo.cli._inputs import check_no_overwrite, view_of_shots
+from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
+from jaxgeo.cli._locate_options import GroundOptions
+from jaxgeo.cli._options import Along
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, print_counts, stderr, working
 from jaxgeo.cli.overlap import BOTH
@@ -34,7 +36,7 @@ class Place(StrEnum):
 
 def plan_command(
     given: FlightOptions,
-    dem: DemFiles,
+    ground: GroundOptions,
     output: Annotated[
         pathlib.Path,
         typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv), one row per exposure."),
@@ -54,7 +56,6 @@ def plan_command(
     ] = None,
     start: Annotated[float | None, typer.Option(help="Time of the first exposure, s (default: first record).")] = None,
     along: Along = None,
-    reading: DemOptions = DemOptions(),
     how: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
     debug: Debug = False,
@@ -64,18 +65,18 @@ def plan_command(
     The flight is that of a scene's sensor with navigation records, or of the exposures of a FILE. Output heights are
     above the ellipsoid.
     """
-    inputs = given_options(locals())
+    inputs = with_ground(given_options(locals()))
     with report_errors(debug):
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
         check_place("--output", output)
         given.check(how)
-        check_no_overwrite("--output", output, given.inputs(how), dem, reading)
+        check_ground(ground)
+        check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
         period = _check_timing(timing, overlap, place)
         exposures = _plan(
             (given, how),
-            dem,
-            reading,
+            ground,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
             output,
@@ -111,8 +112,7 @@ def _period(timing: str, number: str, overlap: float | None) -> float:
 
 def _plan(
     of: tuple[FlightOptions, ReadingOptions],
-    dem: list[str],
-    reading: DemOptions,
+    ground: GroundOptions,
     wishes: tuple[str, float | None, Place],
     course: tuple[float | None, Any],
     output: pathlib.Path,
@@ -131,7 +131,7 @@ def _plan(
     of_flight = given.flight(how)
     sensor, flight = of_flight.sensor, of_flight.trajectory
     _check_count(wishes, flight, start)
-    terrain = read_terrain(dem, reading, lambda: _view(sensor, flight))
+    terrain = terrain_of(ground, lambda: flight.at(flight.start), lambda: _view(sensor, flight))
     with working("compiling and planning"):
         found = plan(
             sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=of_flight.atmosphere
