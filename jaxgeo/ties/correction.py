@@ -259,7 +259,7 @@ def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Co
         views=views,
         adjustment=found,
         scale=scale,
-        rms_before=_rms_of_rays(_block(views, found.block.observations)),
+        rms_before=rms_of_rays(views, found.block.observations),
         rms_after=float(np.sqrt(np.mean(found.residuals**2))),
         moved=moved,
         turned=turned,
@@ -269,8 +269,9 @@ def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Co
     )
 
 
-def _rms_of_rays(block: Block) -> float:
-    """RMS distance per axis in px of the measurements from the points where their rays come closest."""
+def rms_of_rays(views: Views, observations: ImagePoints) -> float:
+    """RMS distance per axis in px of measurements from the points where their rays come closest."""
+    block = _block(views, observations)
     rays = Rays.of(block)
     focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
     each = np.array([focal[str(name)] for name in block.images.camera])[rays.image]

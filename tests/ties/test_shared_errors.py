@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +10,7 @@ from support.drone_strip import ABOVE, GROUND, SENSOR
 
 from jaxgeo import Exposure, Pose, Shot
 from jaxgeo.adjust import ImagePoints
+from jaxgeo.rotations import R_from_heading_pitch_roll, heading_pitch_roll_from_R
 from jaxgeo.studies.gu2017.scene import moved
 from jaxgeo.ties import Correction, Views, correct
 from jaxgeo.uncertainty import PerFlight, TimeCorrelated, sources
@@ -147,3 +149,90 @@ def test_flights_share_their_own_errors() -> None:
 def test_flights_are_whole_numbers_of_each_image() -> None:
     with pytest.raises(ValueError, match="flight must be one whole number"):
         views_of(shots(), flight=[0, 1])
+
+
+def drawn(seed: int) -> np.ndarray:
+    """Errors (n, 6) of position (north, east, down) and attitude (heading, pitch, roll) of each shot."""
+    rng = np.random.default_rng(seed)
+    apart = np.abs(np.subtract.outer(2.0 * np.arange(COUNT), 2.0 * np.arange(COUNT)))
+    correlation = np.where(apart == 0.0, 1.0, 0.9 * np.exp(-apart / DURATION))
+    position = POSITION * rng.normal(size=(COUNT, 3)) + OFFSET * rng.normal(size=3)
+    return np.hstack([position, ATTITUDE * np.linalg.cholesky(correlation) @ rng.normal(size=(COUNT, 3))])
+
+
+def erring(shot: Shot, errors: np.ndarray, boresight: np.ndarray) -> Shot:
+    """A shot with errors of position and attitude, whose body is turned by a boresight."""
+    off = moved(shot, errors[:3], errors[3:])
+    pose = off.pose
+    R = R_from_heading_pitch_roll(*map(jnp.asarray, (pose.heading, pose.pitch, pose.roll)))
+    turned = heading_pitch_roll_from_R(R @ Rotation.from_rotvec(boresight).as_matrix())
+    return Shot(Pose(pose.position, *turned), off.gimbal_readings, shot.time)
+
+
+def errors_of(true: Views, given: Views, centre: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Errors (n, 6) of orientations in the frame of `given`."""
+    place = np.asarray(given.frame.from_ecef(np.asarray(true.frame.to_ecef(true.centre))))
+    turn = np.asarray(given.frame.R_ecef_from_local).T @ np.asarray(true.frame.R_ecef_from_local)
+    turned = np.swapaxes(turn @ true.R_frame_from_camera, 1, 2) @ R
+    return np.concatenate([centre - place, Rotation.from_matrix(turned).as_rotvec()], axis=1)
+
+
+def apart(true: Views, errors: np.ndarray) -> float:
+    """RMS distance in m between the places of the point midway below neighbouring images, on ground that is shifted
+    with all positions: a common shift upwards alone sets places apart."""
+    errors = errors - np.append(errors[:, :3].mean(axis=0), np.zeros(3))
+    shifts = []
+    for k in range(COUNT - 1):
+        ground = 0.5 * (true.centre[k] + true.centre[k + 1]) - np.array([0.0, 0.0, ABOVE])
+        both = []
+        for image in (k, k + 1):
+            R = true.R_frame_from_camera[image]
+            ray = ground - true.centre[image]
+            turned = R @ (Rotation.from_rotvec(errors[image, 3:]).as_matrix() @ (R.T @ ray))
+            both.append(
+                true.centre[image, :2] + errors[image, :2] + turned[:2] * (ray[2] - errors[image, 2]) / turned[2]
+            )
+        shifts.append(both[0] - both[1])
+    return float(np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))))
+
+
+@pytest.mark.costly
+def test_errors_of_a_sequence_are_as_predicted() -> None:
+    """Over 12 draws: squared errors by their covariance are chi-square, neighbours agree five times better than by the
+    navigation, positions are no worse than their priors, and a shift of all positions stays to the last millimetre."""
+    true, seeds = views_of(shots()), 12
+    seen = measured(true)
+    squares, before, after, over_prior = 0.0, [], [], []
+    for seed in range(seeds):
+        boresight = BORESIGHT * np.random.default_rng([seed, 1]).normal(size=3)
+        given = views_of([erring(shot, one, boresight) for shot, one in zip(shots(), drawn(seed), strict=True)])
+        uv = seen.uv + PIXEL * np.random.default_rng(seed).normal(size=seen.uv.shape)
+        found = correct(given, ImagePoints(seen.image, seen.point, uv, seen.sigma))
+        errors = errors_of(true, given, found.adjustment.images.centre, found.adjustment.images.R_frame_from_camera)
+        covariance = found.adjustment.covariance[: 6 * COUNT, : 6 * COUNT]
+        squares += errors.ravel() @ np.linalg.solve(covariance, errors.ravel())
+        before.append(apart(true, errors_of(true, given, given.centre, given.R_frame_from_camera)))
+        after.append(apart(true, errors))
+        over_prior.append(np.sqrt(np.mean(errors[:, :3] ** 2)) / np.hypot(POSITION, OFFSET))
+        sigma = np.sqrt(np.diagonal(covariance)).reshape(COUNT, 6)
+        assert np.all(sigma <= 1.0001 * np.sqrt(np.diagonal(given.covariance, axis1=1, axis2=2)))
+    freedom = 6 * COUNT * seeds
+    assert abs(squares - freedom) < 3.0 * np.sqrt(2.0 * freedom)
+    assert np.linalg.norm(after) < np.linalg.norm(before) / 5.0
+    assert np.sqrt(np.mean(np.square(over_prior))) < 1.3  # of 36 numbers
+    assert "shift of all positions" in found.words()
+    assert "position 2: north" in found.words()
+
+
+@pytest.mark.costly
+def test_a_shift_of_all_positions_stays() -> None:
+    views = views_of(shots())
+    shift = np.array([5.0, -3.0, 2.0])
+    seen = measured(views)
+    found = [
+        correct(views_of([erring(shot, np.append(one, [0.0] * 3), np.zeros(3)) for shot in shots()]), seen)
+        for one in (np.zeros(3), shift)
+    ]
+    places = [np.asarray(one.views.frame.to_ecef(one.adjustment.images.centre)) for one in found]
+    moved_by = (places[1] - places[0]) @ np.asarray(found[0].views.frame.R_ecef_from_local)
+    assert np.allclose(moved_by, shift[[1, 0, 2]] * [1.0, 1.0, -1.0], atol=1e-3)  # north, east, down to east, north, up
