@@ -108,7 +108,8 @@ class Adjustment:
         if problem.terrain is not None:
             count += int(np.sum(np.asarray(problem.terrain.information) > 0.0))
         return count + sum(
-            int(np.sum(np.asarray(x.information) > 0.0)) for x in (problem.lens, problem.mount, problem.strip)
+            int(np.sum(np.asarray(x.information) > 0.0))
+            for x in (problem.lens, problem.mount, problem.strip, problem.common)
         )
 
     @cached_property
@@ -189,6 +190,15 @@ class Adjustment:
     def strips(self) -> dict[str, np.ndarray]:
         """Shift (m) and drift (m/s), east, north and up of the frame, of the navigation positions per strip."""
         return dict(zip(self.prepared.names.strip, np.asarray(self.solution.values.strip), strict=True))
+
+    @cached_property
+    def common(self) -> dict[str, tuple[float, float]]:
+        """Errors of the navigation that images share, by name: how far the adjusted poses are from the navigation in
+        standard deviations of each, and what is left of one, 1 if the images do not show it."""
+        names = self.prepared.names.common
+        left = np.sqrt(np.maximum(np.diagonal(self.covariance_of_shared), 0.0))[-len(names) :] if names else ()
+        values = np.asarray(self.solution.values.common)
+        return {name: (float(value), float(sigma)) for name, value, sigma in zip(names, values, left, strict=True)}
 
     @cached_property
     def points(self) -> GroundPoints:
@@ -312,6 +322,8 @@ class Adjustment:
         counts: dict[str, int] = {}
         for offset, (whose, what) in enumerate(names.columns(problem)):
             kind = whose.split()[0]
+            if kind == "navigation":
+                continue
             row, column = divmod(counts.get(kind, 0), sizes[kind])
             counts[kind] = counts.get(kind, 0) + 1
             found.append((at + offset, whose, what, kind, row, column))

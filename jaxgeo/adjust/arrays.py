@@ -26,8 +26,9 @@ class Problem(Record):
     """A block in the order of its layout, with its unknowns.
 
     `active` are the unknown columns of the lenses. With `own_lens` each image has its own camera and lens, which is
-    eliminated and solved for with the image. `mounts` and `strips` state whether any of these is unknown. Control
-    points are `place` (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance.
+    eliminated and solved for with the image. `mounts` and `strips` state whether any of these is unknown; `common`
+    (1, k) are the numbers of the navigation errors that images share, always unknown. Control points are `place`
+    (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance.
     """
 
     layout: Layout
@@ -43,6 +44,7 @@ class Problem(Record):
     lens: Known
     mount: Known
     strip: Known
+    common: Known
     terrain: Any
     active: tuple[int, ...] = eqx.field(static=True)
     own_lens: bool = eqx.field(static=True)
@@ -66,8 +68,9 @@ class Problem(Record):
 
     @property
     def shared(self) -> int:
-        """Columns of all shared parameters: lenses, mounts, strips."""
-        return self.of_lenses + self.mounts * self.mount.free.size + self.strips * self.strip.free.size
+        """Columns of all shared parameters: lenses, mounts, strips, common errors of the navigation."""
+        own = self.mounts * self.mount.free.size + self.strips * self.strip.free.size
+        return self.of_lenses + own + self.common.free.size
 
 
 def step_of(problem: Problem, images: Any, shared: Any, points: Any) -> Step:
@@ -83,8 +86,9 @@ def step_of(problem: Problem, images: Any, shared: Any, points: Any) -> Step:
         mount = shared[first : first + mount.size].reshape(mount.shape)
         first += mount.size
     if problem.strips:
-        strip = shared[first:].reshape(strip.shape)
-    return Step(pose=images[:, :POSE], points=points.T, lens=lens, mount=mount, strip=strip)
+        strip = shared[first : first + strip.size].reshape(strip.shape)
+        first += strip.size
+    return Step(pose=images[:, :POSE], points=points.T, lens=lens, mount=mount, strip=strip, common=shared[first:])
 
 
 def free_columns(problem: Problem) -> tuple[Array, Array]:
@@ -96,4 +100,5 @@ def free_columns(problem: Problem) -> tuple[Array, Array]:
     shared += [problem.lens.free.ravel()] if problem.of_lenses else []
     shared += [problem.mount.free.ravel()] if problem.mounts else []
     shared += [problem.strip.free.ravel()] if problem.strips else []
+    shared += [problem.common.free.ravel()]
     return images, jnp.concatenate(shared)

@@ -115,16 +115,19 @@ def _two_step(
     free, _ = free_columns(problem)
 
     def one(x: Float[Array, " size"], step: Float[Array, "6"], image: Any) -> Float[Array, "6"]:
-        observed_image, centre, R, strip = image
+        observed_image, centre, R, strip, common = image
         arm = lever + x[3:] if with_lever else lever
         R = matmul3(R, R_from_rotation_vector(step[3:]))
-        return navigation_residual(observed_image, centre + step[:3], R, R_from_rotation_vector(x[:3]), arm, strip)
+        return navigation_residual(
+            observed_image, centre + step[:3], R, R_from_rotation_vector(x[:3]), arm, strip, common
+        )
 
     def linear(x: Float[Array, " size"], image: Any) -> tuple[Array, Array, Array]:
         none = jnp.zeros(6)
         return one(x, none, image), jax.jacfwd(one)(x, none, image), jax.jacfwd(one, argnums=1)(x, none, image)
 
-    images = (observed, values.centre, values.R_frame_from_camera, values.strip[problem.strip_of])
+    common = jnp.broadcast_to(values.common, (problem.n, values.common.shape[0]))
+    images = (observed, values.centre, values.R_frame_from_camera, values.strip[problem.strip_of], common)
     weights = jnp.concatenate([observed.information_position, observed.information_attitude], axis=1)
     count = jnp.sum(jnp.any(weights != 0.0, axis=2) & mine[:, None])
 

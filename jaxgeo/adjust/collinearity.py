@@ -50,7 +50,8 @@ def _changed(lens: Any, active: tuple[int, ...], change: Any) -> Any:
 class Observed(Record):
     """Navigation of an image, or of all (leading axis), and its mount; see `Navigation`.
 
-    `centred_time` is s after the strip's mean time; `level` states whether the gimbal reports in local level.
+    `centred_time` is s after the strip's mean time; `level` states whether the gimbal reports in local level. `common`
+    (6, k) is the error of position and attitude for each of the numbers that images share.
     """
 
     position: Any
@@ -64,17 +65,24 @@ class Observed(Record):
     lever_head: Any
     level: Any
     centred_time: Any
+    common: Any
 
 
 def navigation_residual(
-    observed: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
+    observed: Observed,
+    centre: Vector3,
+    R: Matrix3,
+    boresight: Matrix3,
+    lever: Vector3,
+    strip: Float[Array, "6"],
+    common: Float[Array, " k"],
 ) -> Float[Array, "6"]:
     """Weighted residuals of position (m) and attitude (rad), predicted from an orientation less observed.
 
     Positions use the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
     Eq 5, where the lever arm's sign is that of the IMU seen from the camera). Attitudes are the rotation vector between
     the observed and predicted orientation of the reference, in its own axes (Eq 3, without the singularity of its
-    angles).
+    angles). `common` numbers move both by the errors that images share.
     """
     # # The boresight rotates base against body, or, for local level without a base, camera against head.
     before = jnp.where(observed.level, jnp.eye(3), matmul3(boresight, observed.R_body_from_base))
@@ -87,14 +95,22 @@ def navigation_residual(
     turn = rotation_vector_from_R(matmul3(observed.R_frame_from_reference.T, implied))
     R_frame_from_body = jnp.where(observed.level, observed.R_frame_from_body, implied)
     imu = centre - matvec(R_frame_from_body, lever) - matvec(R_frame_from_head, observed.lever_head)
-    off = imu + strip[:3] + observed.centred_time * strip[3:] - observed.position
+    shared = observed.common @ common
+    off = imu + strip[:3] + observed.centred_time * strip[3:] - observed.position - shared[:3]
+    turn = turn - shared[3:]
     return jnp.concatenate([matvec(observed.information_position, off), matvec(observed.information_attitude, turn)])
 
 
 def navigation_linear(
-    observed: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
-) -> tuple[Float[Array, "6"], Float[Array, "6 18"]]:
-    """The same residuals and their derivatives by pose (6), mount (6) and strip (6)."""
+    observed: Observed,
+    centre: Vector3,
+    R: Matrix3,
+    boresight: Matrix3,
+    lever: Vector3,
+    strip: Float[Array, "6"],
+    common: Float[Array, " k"],
+) -> tuple[Float[Array, "6"], Float[Array, "6 columns"]]:
+    """The same residuals and their derivatives by pose (6), mount (6), strip (6) and common numbers (k)."""
 
     def residual(step: Float[Array, "18"]) -> Float[Array, "6"]:
         pose, mount, of_strip = step[:6], step[6:12], step[12:]
@@ -105,10 +121,15 @@ def navigation_linear(
             matmul3(R_from_rotation_vector(mount[:3]), boresight),
             lever + mount[3:],
             strip + of_strip,
+            common,
         )
 
     at = jnp.zeros(18)
-    return residual(at), jax.jacfwd(residual)(at)
+    weights = observed.information_position, observed.information_attitude
+    by_common = [
+        -weight @ part for weight, part in zip(weights, (observed.common[:3], observed.common[3:]), strict=True)
+    ]
+    return residual(at), jnp.concatenate([jax.jacfwd(residual)(at), jnp.concatenate(by_common)], axis=1)
 
 
 def half_sum(x: Float[Array, "..."]) -> Scalar:

@@ -143,6 +143,7 @@ def of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
         values.boresight[mount],
         values.lever[mount],
         values.strip[strip],
+        jnp.broadcast_to(values.common, (problem.n, values.common.shape[0])),
     )
 
 
@@ -193,14 +194,14 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
         images_shared = images_shared.at[:, :POSE].add(jnp.einsum("nka,nkb->nab", by_pose, by_shared))
         shared = shared + jnp.einsum("nka,nkb->ab", by_shared, by_shared)
         shared_gradient = shared_gradient + jnp.einsum("nka,nk->a", by_shared, off)
-    (off_lens, lens), (off_mount, mount), (off_strip, strip) = _known_others(problem, values)
+    (off_lens, lens), (off_mount, mount), (off_strip, strip), (off_common, common) = _known_others(problem, values)
     cost = cost + half_sum(off_lens * lens.information) + half_sum(off_mount * mount.information)
-    cost = cost + half_sum(off_strip * strip.information)
+    cost = cost + half_sum(off_strip * strip.information) + half_sum(off_common * common.information)
     if problem.own_lens and active:
         squared = lens.information[layout.camera] ** 2
         images = images.at[:, POSE:, POSE:].add(squared[:, :, None] * jnp.eye(active)[None])
         image_gradient = image_gradient.at[:, POSE:].add(squared * off_lens[layout.camera])
-    diagonal, gradient = _priors(problem, off_lens, off_mount, off_strip)
+    diagonal, gradient = _priors(problem, off_lens, off_mount, off_strip, off_common)
     return {
         "cost": cost,
         "images": images,
@@ -211,7 +212,7 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
     }
 
 
-def navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Array, "n 6 s"]:
+def navigation_columns(problem: Problem, by: Float[Array, "n 6 columns"]) -> Float[Array, "n 6 s"]:
     """Derivatives of the navigation by the shared parameters, in the columns of the reduced system."""
     n = problem.n
     parts = [jnp.zeros((n, 6, problem.of_lenses))]
@@ -222,10 +223,11 @@ def navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Ar
             of = jax.nn.one_hot(number, known.free.shape[0], dtype=jnp.float64)
             own = by[:, :, first : first + size] * known.free[number][:, None, :]
             parts.append((of[:, None, :, None] * own[:, :, None, :]).reshape(n, 6, -1))
+    parts.append(by[:, :, POSE + MOUNT + STRIP :])
     return jnp.concatenate(parts, axis=-1)
 
 
-def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any) -> tuple[Array, Array]:
+def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any, off_common: Any) -> tuple[Array, Array]:
     """Diagonal and gradient that priors add to the shared parameters."""
     parts = []
     if problem.of_lenses:
@@ -234,6 +236,7 @@ def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any) -> 
         parts.append((problem.mount, off_mount))
     if problem.strips:
         parts.append((problem.strip, off_strip))
+    parts.append((problem.common, off_common))
     squares = [known.information**2 for known, _ in parts]
     diagonal = [jnp.zeros(0), *(square.ravel() for square in squares)]
     gradient = [jnp.zeros(0), *((square * off).ravel() for square, (_, off) in zip(squares, parts, strict=True))]
@@ -246,11 +249,12 @@ def known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
 
 
 def _known_others(problem: Problem, values: Values) -> list[tuple[Array, Known]]:
-    """Lenses, mounts and strips less their prior values."""
+    """Lenses, mounts, strips and common errors less their prior values."""
     columns = jnp.array(problem.active, int)
     lens = values.lens[:, columns] - problem.start.lens[:, columns]
     mount = jnp.concatenate([jax.vmap(rotation_vector_from_R)(values.boresight), values.lever - problem.start.lever], 1)
-    return [(lens, problem.lens), (mount, problem.mount), (values.strip, problem.strip)]
+    own = [(lens, problem.lens), (mount, problem.mount), (values.strip, problem.strip)]
+    return [*own, (values.common[None], problem.common)]
 
 
 def _block_diagonal(blocks: Float[Array, "k a a"]) -> Float[Array, "ka ka"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -39,6 +39,26 @@ class Navigation:
     time: np.ndarray
     mounts: Mapping[str, tuple[Mount, bool]]
     """By name: the mount, and whether its gimbal reports in local level."""
+    common: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Errors that images share, by name: (n, 6), how far one standard deviation of each moves the position (m, frame
+    axes) and the reference (rotation vector in its own axes, rad). They are unknowns of every adjustment, with standard
+    normal priors; the information of the positions and attitudes is that of the other errors."""
+
+    @property
+    def names_of_common(self) -> tuple[str, ...]:
+        """Names of the errors that images share."""
+        return tuple(self.common)
+
+    @property
+    def common_errors(self) -> np.ndarray:
+        """`common` as one array (n, 6, k)."""
+        return np.stack([np.zeros((len(self.position), 6)), *self.common.values()], axis=2)[:, :, 1:]
+
+    def of(self, rows: np.ndarray) -> Navigation:
+        """That of some images."""
+        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        common = {name: errors[rows] for name, errors in self.common.items()}
+        return Navigation(**arrays, mounts=self.mounts, common=common)
 
     def loosened(self, factor: float) -> Navigation:
         """A copy with standard deviations `factor` times as large, for start values with negligible weight."""
@@ -47,6 +67,9 @@ class Navigation:
             information_position=self.information_position / factor,
             information_attitude=self.information_attitude / factor,
         )
+
+
+_ARRAYS = tuple(name for name in Navigation.__dataclass_fields__ if name not in ("mounts", "common"))
 
 
 def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
@@ -91,14 +114,16 @@ def navigation_of(
 
 
 def joined(parts: list[Navigation]) -> Navigation:
-    """Concatenated navigation of several lists of images."""
-    arrays = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in Navigation.__dataclass_fields__
-        if name != "mounts"
-    }
+    """Concatenated navigation of several lists of images; common errors of one name are the same."""
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     mounts = {name: mount for part in parts for name, mount in part.mounts.items()}
-    return Navigation(**arrays, mounts=mounts)
+    names = dict.fromkeys(name for part in parts for name in part.common)
+    none = [np.zeros((len(part.position), 6)) for part in parts]
+    common = {
+        name: np.concatenate([part.common.get(name, zero) for part, zero in zip(parts, none, strict=True)])
+        for name in names
+    }
+    return Navigation(**arrays, mounts=mounts, common=common)
 
 
 def information(sigma: Any, count: int, what: str, unit: str) -> np.ndarray:

@@ -33,12 +33,14 @@ class Names(NamedTuple):
     lens: tuple[str, ...]
     mount: tuple[str, ...]
     strip: tuple[str, ...]
+    common: tuple[str, ...]
 
     def columns(self, problem: Problem) -> list[tuple[str, str]]:
         """(owner, parameter) of each shared column, in the order of the reduced system."""
         found = [] if problem.own_lens else [(f"camera {name}", lens) for name in self.camera for lens in self.lens]
         found += [(f"mount {name}", part) for name in self.mount for part in OF_MOUNT] if problem.mounts else []
         found += [(f"strip {name}", part) for name in self.strip for part in OF_STRIP] if problem.strips else []
+        found += [("navigation", part) for part in self.common]
         return found
 
 
@@ -63,6 +65,7 @@ def prepared(
     cameras = tuple(dict.fromkeys(block.images.camera.tolist()))
     lens_sigma, active, lens_names = _lenses(block, cameras, unknowns)
     mounts, strips = _names_of_navigation(block)
+    common = () if block.navigation is None else block.navigation.names_of_common
     mount_sigma, strip_sigma = _shared(unknowns, mounts, strips)
     own_lens = bool(active) and len(cameras) == len(block.images)
     images = block.images
@@ -97,6 +100,7 @@ def prepared(
         boresight=jnp.asarray(np.broadcast_to(np.eye(3), (len(mounts), 3, 3))),
         lever=jnp.asarray(_levers(block, mounts)),
         strip=jnp.asarray(np.zeros((len(strips), 6))),
+        common=jnp.zeros(len(common)),
     )
     problem = Problem(
         layout=layout,
@@ -112,13 +116,14 @@ def prepared(
         lens=_known(lens_sigma[:, list(active)]),
         mount=_known(mount_sigma),
         strip=_known(strip_sigma),
+        common=_known(np.ones((1, len(common)))),
         terrain=None if terrain is None else _on_terrain(block, terrain, points, order, start.points),
         active=active,
         own_lens=own_lens,
         mounts=bool(np.any(mount_sigma > 0.0)),
         strips=bool(np.any(strip_sigma > 0.0)),
     )
-    return Prepared(problem, Names(images.name, points, cameras, lens_names, mounts, strips), order)
+    return Prepared(problem, Names(images.name, points, cameras, lens_names, mounts, strips, common), order)
 
 
 def _lenses(
@@ -207,6 +212,7 @@ def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) ->
         lever_head=constants("lever_head"),
         level=np.array([level for _, level in of_mount])[mount_of],
         centred_time=nav.time - middle[strip_of],
+        common=nav.common_errors,
     )
     return jax.tree.map(jnp.asarray, observed), mount_of, strip_of
 

@@ -25,7 +25,8 @@ class Values(Record):
 
     `centre` (n, 3) m and `R_frame_from_camera` (n, 3, 3) of the images; `points` (rows, 3) m in the order of the
     layout; `lens` (cameras, all) interior orientation and coefficients; `boresight` (mounts, 3, 3) the accumulated
-    rotation; `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s.
+    rotation; `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s; `common` (k,) the
+    standard normal numbers of the navigation errors that images share.
     """
 
     centre: Float[Array, "n 3"]
@@ -35,6 +36,7 @@ class Values(Record):
     boresight: Float[Array, "mounts 3 3"]
     lever: Float[Array, "mounts 3"]
     strip: Float[Array, "strips 6"]
+    common: Float[Array, " k"]
 
 
 class Step(Record):
@@ -45,6 +47,7 @@ class Step(Record):
     lens: Float[Array, "cameras active"]
     mount: Float[Array, "mounts 6"]
     strip: Float[Array, "strips 6"]
+    common: Float[Array, " k"]
 
 
 def moved(values: Values, step: Step, active: tuple[int, ...]) -> Values:
@@ -59,6 +62,7 @@ def moved(values: Values, step: Step, active: tuple[int, ...]) -> Values:
         boresight=jax.vmap(matmul3)(turn(step.mount[:, :3]), values.boresight),
         lever=values.lever + step.mount[:, 3:],
         strip=values.strip + step.strip,
+        common=values.common + step.common,
     )
 
 

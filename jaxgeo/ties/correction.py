@@ -38,6 +38,7 @@ LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navig
 # Lower bound of the factor of the standard deviations of image points. Residuals alone are too small: errors along
 # epipolar lines go into the heights of points, and all rays of a track share the error of its first patch.
 LEAST_SCALE = 1.0
+HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 ROUNDS = 5
 MEDIAN = 1.054  # median of the larger of two normal numbers
@@ -93,19 +94,30 @@ class Correction:
     def sigma_of_mean(self) -> np.ndarray:
         """Standard deviations (3,) in m, east, north, up, of the mean position of the adjusted images.
 
-        Tie points do not see it. It is that of the navigation if its errors are independent between images; an error
-        common to all positions is larger and remains.
+        Tie points do not show it. It is that of the navigation: errors of each image alone, which average out, and
+        those that images share, which do not.
         """
         rows = _rows(self.views, self.names)
-        return np.sqrt(np.diagonal(self.views.covariance, axis1=1, axis2=2)[rows, :3].sum(axis=0)) / len(rows)
+        alone = np.diagonal(self.views.own, axis1=1, axis2=2)[rows, :3].sum(axis=0) / len(rows) ** 2
+        shared = [one[rows, :3].mean(axis=0) ** 2 for one in self.views.common.values()]
+        return np.sqrt(alone + np.sum(shared, axis=0) if shared else alone)
+
+    @property
+    def hidden(self) -> list[str]:
+        """Names of the errors that images share and of which the adjustment left more than nine tenths."""
+        return [name for name, (_, left) in self.adjustment.common.items() if left > HIDDEN]
 
     def words(self) -> str:
         """What the images alone do not show, as sentences."""
         east, north, up = self.sigma_of_mean
         lines = [
             f"Images alone do not show a shift of all positions: it stays that of the navigation, {east:.3g}, "
-            f"{north:.3g}, {up:.3g} m (E, N, U; one sigma if the errors are independent between images)."
+            f"{north:.3g}, {up:.3g} m (E, N, U; one sigma"
+            + (")." if self.views.common else ", as its errors are stated to be independent between images).")
         ]
+        constant = [name for name in self.hidden if ", mode" not in name]
+        if constant:
+            lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")
         if self.unconnected:
             some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
             lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
@@ -120,11 +132,12 @@ def correct(
 ) -> Correction:
     """Adjust the orientations of images by tie points among them.
 
-    The navigation is the prior of every image, with its covariance, and the only datum: position, orientation and scale
-    of the whole come from it. The largest connected part is adjusted. First with a robust loss (Cauchy), and without
-    measurements off by more than four standard deviations, scaled by the median residual; then by least squares of the
-    rest, whose standard deviations are scaled by the residuals. `unknowns` adds a self-calibration (`images` are always
-    free), `terrain` observations of the heights of the points.
+    The navigation is the prior of all images, with its covariance, and the only datum: position, orientation and scale
+    of the whole come from it. Errors that images share, by the `sharing` of their sources, are unknowns of the whole.
+    The largest connected part is adjusted. First with a robust loss (Cauchy), and without measurements off by more than
+    four standard deviations, scaled by the median residual; then by least squares of the rest, whose standard
+    deviations are scaled by the residuals. `unknowns` adds a self-calibration (`images` are always free), `terrain`
+    observations of the heights of the points.
 
     Raises `ValueError` without tie points between any two images, and as `jaxgeo.adjust.adjust`.
     """
@@ -206,14 +219,14 @@ def _block(views: Views, observations: ImagePoints) -> Block:
     rows = np.flatnonzero(np.isin(views.name, observations.image))
     images = Images(views.name[rows], views.camera[rows], views.centre[rows], views.R_frame_from_camera[rows])
     cameras = {name: views.cameras[name] for name in dict.fromkeys(images.camera.tolist())}
-    return Block(views.frame, cameras, images, observations, navigation=_some(_navigation(views), rows))
+    return Block(views.frame, cameras, images, observations, navigation=_navigation(views).of(rows))
 
 
 def _navigation(views: Views) -> Navigation:
     """Navigation of the cameras themselves: perspective centres, and rotations about the camera's axes."""
     count, eye = len(views), np.eye(3)
     each = np.broadcast_to(eye, (count, 3, 3))
-    position, attitude = (views.covariance[:, part, part] for part in (np.s_[:3], np.s_[3:]))
+    position, attitude = (views.own[:, part, part] for part in (np.s_[:3], np.s_[3:]))
     zero = np.zeros(3)
     return Navigation(
         position=views.centre,
@@ -226,16 +239,12 @@ def _navigation(views: Views) -> Navigation:
         strip=np.full(count, "strip"),
         time=np.zeros(count),
         mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
+        common=views.common,
     )
 
 
 def _information(covariance: np.ndarray, least: float) -> np.ndarray:
     return np.linalg.inv(np.linalg.cholesky(covariance + least**2 * np.eye(3)))
-
-
-def _some(navigation: Navigation, rows: np.ndarray) -> Navigation:
-    arrays = {name: getattr(navigation, name)[rows] for name in Navigation.__dataclass_fields__ if name != "mounts"}
-    return Navigation(**arrays, mounts=navigation.mounts)
 
 
 def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Correction:
@@ -250,7 +259,7 @@ def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Co
         views=views,
         adjustment=found,
         scale=scale,
-        rms_before=_rms_of_rays(_block(views, found.block.observations)),
+        rms_before=rms_of_rays(views, found.block.observations),
         rms_after=float(np.sqrt(np.mean(found.residuals**2))),
         moved=moved,
         turned=turned,
@@ -260,8 +269,9 @@ def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Co
     )
 
 
-def _rms_of_rays(block: Block) -> float:
-    """RMS distance per axis in px of the measurements from the points where their rays come closest."""
+def rms_of_rays(views: Views, observations: ImagePoints) -> float:
+    """RMS distance per axis in px of measurements from the points where their rays come closest."""
+    block = _block(views, observations)
     rays = Rays.of(block)
     focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
     each = np.array([focal[str(name)] for name in block.images.camera])[rays.image]

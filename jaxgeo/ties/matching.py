@@ -146,8 +146,7 @@ def match_pair(
     both = first, second
     result = _nothing(both, uv)
     geometry = _geometry(views, both, planes, how)
-    covariance = np.zeros((12, 12))
-    covariance[:6, :6], covariance[6:, 6:] = views.covariance[first], views.covariance[second]
+    covariance = views.covariance_of_pair(first, second)
     factor, shift = _first_factor(geometry, covariance, how), np.zeros((len(geometry.rows), 2))
     spread, is_first = _spread(geometry, covariance, how), True
     while len(geometry.rows) >= how.least:

@@ -22,6 +22,7 @@ from jaxgeo.observation import Exposure
 from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+from jaxgeo.ties.shared import OfImage, split
 from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
@@ -46,7 +47,9 @@ class Views:
     `name` (n,) are unique names, `exposure` n exposures with a `Shot` each, `camera` (n,) the names of their `cameras`.
     `frame` is an east-north-up frame at the centre of the images; in it, in m, `centre` (n, 3) are the perspective
     centres and `R_frame_from_camera` (n, 3, 3) the orientations (camera right, down, forward). `covariance` (n, 6, 6)
-    is that of their navigation errors: centre in m (frame axes), rotation in rad about the camera's axes.
+    is that of their navigation errors: centre in m (frame axes), rotation in rad about the camera's axes. It is the sum
+    of `own` (n, 6, 6), of errors that are independent between images, and of the products of `common` (n, 6), by name:
+    one standard deviation of each error that images share, such as a boresight.
     """
 
     name: Names
@@ -57,18 +60,22 @@ class Views:
     centre: np.ndarray
     R_frame_from_camera: np.ndarray
     covariance: np.ndarray
+    own: np.ndarray
+    common: dict[str, np.ndarray]
 
     def __len__(self) -> int:
         return len(self.name)
 
     @classmethod
-    def of(cls, name: Any, exposures: Sequence[Exposure], errors: Sequence[Any]) -> Views:
+    def of(cls, name: Any, exposures: Sequence[Exposure], errors: Sequence[Any], flight: Any = None) -> Views:
         """Views from exposures and their error sources: a model, or a tuple of sources, for each image.
 
-        Only errors of position, attitude, gimbal and mounting count. Images with equal cameras share one, named
-        "1", "2" and so on. Raises `TypeError` for other cameras than frame cameras and for moving sensors,
-        `ValueError` for no images, duplicate names, counts that differ, and an image whose navigation has no error of
-        position or of attitude: without one nothing is adjusted, and no search area is known.
+        Only errors of position, attitude, gimbal and mounting count, each shared between images as its `sharing` says
+        (`PerImage`, `PerFlight`, `TimeCorrelated` by the times of the shots, ...). `flight` (n,) are numbers of their
+        flights, by default one. Images with equal cameras share one, named "1", "2" and so on. Raises `TypeError` for
+        other cameras than frame cameras and for moving sensors, `ValueError` for no images, duplicate names, counts
+        that differ, and an image whose navigation has no error of position or of attitude: without one nothing is
+        adjusted, and no search area is known.
         """
         require_x64()
         names, exposures = as_names(name, "name"), tuple(exposures)
@@ -82,11 +89,20 @@ class Views:
         exposures = tuple(_checked(one, exposure) for one, exposure in zip(names, exposures, strict=True))
         frame = frame_at(_stacked([_shot(one).pose.position for one in exposures]))
         camera, cameras = _cameras_of(exposures)
-        found = [_oriented(frame, one, _pose_errors(given)) for one, given in zip(exposures, errors, strict=True)]
-        centre, R, covariance = (np.stack([np.asarray(one[k]) for one in found]) for k in range(3))
+        models = [_pose_errors(given) for given in errors]
+        found = [_oriented(frame, one, model) for one, model in zip(exposures, models, strict=True)]
+        centre, R = (np.stack([np.asarray(one[k]) for one in found]) for k in range(2))
+        each = [OfImage(one.sources, *map(np.asarray, part[2:])) for one, part in zip(models, found, strict=True)]
+        own, common = split(each, np.array([float(_shot(one).time) for one in exposures]), _flights(flight, len(names)))
+        covariance = own + sum((one[:, :, None] * one[:, None, :] for one in common.values()), np.zeros(own.shape))
         _check_covariances(names, covariance)
         Images(names, camera, centre, R)  # raises for duplicate names and poses that are not finite
-        return cls(names, exposures, camera, cameras, frame, centre, R, covariance)
+        return cls(names, exposures, camera, cameras, frame, centre, R, covariance, own, common)
+
+    def covariance_of_pair(self, first: int, second: int) -> np.ndarray:
+        """Covariance (12, 12) of the navigation errors of two images."""
+        between = sum((np.outer(one[first], one[second]) for one in self.common.values()), np.zeros((6, 6)))
+        return np.block([[self.covariance[first], between], [between.T, self.covariance[second]]])
 
     def inputs(self, row: int, terrain: AbstractTerrain) -> ModelInputs:
         """Inputs of the forward model of an image."""
@@ -168,6 +184,13 @@ def _checked(name: str, exposure: Exposure) -> Exposure:
     return as_float64(exposure, f"exposure of image {name}")
 
 
+def _flights(flight: Any, count: int) -> np.ndarray:
+    numbers = np.zeros(count, int) if flight is None else np.asarray(flight)
+    if numbers.shape != (count,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise ValueError(f"flight must be one whole number for each of {count} images; got {flight!r}.")
+    return numbers
+
+
 def _stacked(items: Sequence[Geodetic]) -> Geodetic:
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(one) for one in leaves]), *items)
 
@@ -202,8 +225,10 @@ def _pose_errors(errors: Any) -> ErrorModel:
 
 
 @quick_filter_jit
-def _oriented(frame: LocalFrame, exposure: Exposure, model: ErrorModel) -> tuple[Vector3, Matrix3, Float[Array, "6 6"]]:
-    """(perspective centre and orientation in the frame, their covariance) of an image."""
+def _oriented(
+    frame: LocalFrame, exposure: Exposure, model: ErrorModel
+) -> tuple[Vector3, Matrix3, Float[Array, "6 errors"], Float[Array, "errors errors"]]:
+    """(perspective centre and orientation in the frame, their derivatives by the errors, the errors' covariance)."""
     inputs = ModelInputs(exposure, terrain=ConstantHeight(jnp.zeros(())))
     R_local = frame.R_ecef_from_local.T
 
@@ -221,8 +246,7 @@ def _oriented(frame: LocalFrame, exposure: Exposure, model: ErrorModel) -> tuple
         skew = 0.5 * (turn - turn.T)
         return jnp.concatenate([there - centre, jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])])
 
-    by_error = jax.jacfwd(offset)(jnp.zeros(model.size))
-    return centre, R, by_error @ model.covariance() @ by_error.T
+    return centre, R, jax.jacfwd(offset)(jnp.zeros(model.size)), model.covariance()
 
 
 def _check_covariances(names: np.ndarray, covariance: np.ndarray) -> None:

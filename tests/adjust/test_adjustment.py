@@ -249,7 +249,7 @@ def test_all_kinds_of_unknowns_at_once_are_dense_least_squares() -> None:
 def test_order_does_not_matter(adjusted: Adjustment) -> None:
     block, rng = adjusted.block, np.random.default_rng(0)
     seen, images, nav = rng.permutation(len(block.observations)), rng.permutation(15), block.navigation
-    names = {name: getattr(nav, name)[images] for name in nav.__dataclass_fields__ if name != "mounts"}
+    assert nav is not None
     given = block.images
     shuffled = replace(
         block,
@@ -257,7 +257,7 @@ def test_order_does_not_matter(adjusted: Adjustment) -> None:
         images=Images(
             given.name[images], given.camera[images], given.centre[images], given.R_frame_from_camera[images]
         ),
-        navigation=replace(nav, **names),
+        navigation=nav.of(images),
         control=block.control.of(rng.permutation(block.control.name)),
     )
     found = adjust(shuffled)

@@ -1,0 +1,116 @@
+"""Navigation errors of many images: those of each image alone, and those that images share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._compile import quick_filter_jit
+from jaxgeo.uncertainty import PerFlight, PerImage, Systematic
+from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, PerMeasurement
+from jaxgeo.uncertainty.sources.base import AbstractSource
+
+NONE = 1e-9  # of the largest eigenvalue of a correlation: smaller ones are none
+MOST = 600  # shared numbers of one source, all axes together; what the others explain is taken as each image's own
+
+
+class OfImage(NamedTuple):
+    """Error sources of an image, derivatives (6, errors) of its pose by their errors, and the errors' covariance."""
+
+    sources: tuple[AbstractSource, ...]
+    by_error: np.ndarray
+    covariance: np.ndarray
+
+
+class Split(NamedTuple):
+    """Covariances (n, 6, 6) of the errors that images have alone, and the effects (n, 6) of one standard deviation of
+    each number that they share, by name. The covariance of images i and j is the sum of the products of these."""
+
+    own: np.ndarray
+    common: dict[str, np.ndarray]
+
+
+def split(images: Sequence[OfImage], time: np.ndarray, flight: np.ndarray) -> Split:
+    """Errors of n images at `time` (n,) in s, of the flights numbered `flight` (n,).
+
+    A source that is common to flights is one number for each axis and flight. Of one that is correlated in time, the
+    correlation matrix of its images is reduced by its smallest eigenvalue, which is each image's own, and the rest is
+    written by its eigenvectors (Karhunen-Loeve), all of them up to `MOST` numbers.
+    """
+    own, common = np.zeros((len(images), 6, 6)), {}
+    for label, members in _alike(images).items():
+        rows = np.array(sorted(members))
+        source = members[int(rows[0])][0]
+        effects = np.stack([_effects(images[row], members[row][1]) for row in rows.tolist()])
+        names, modes = _modes(source.sharing, time[rows], flight[rows], len(source.axes))
+        rest = np.maximum(1.0 - np.sum(modes**2, axis=1), 0.0)
+        own[rows] += rest[:, None, None] * effects @ np.swapaxes(effects, 1, 2)
+        for name, mode in zip(names, modes.T, strict=True):
+            for axis, one in enumerate(source.axes):
+                column = np.zeros((len(images), 6))
+                column[rows] = effects[:, :, axis] * mode[:, None]
+                common[f"{label}: {one}{name}"] = column
+    return Split(own, common)
+
+
+def _alike(images: Sequence[OfImage]) -> dict[str, dict[int, tuple[AbstractSource, slice]]]:
+    """Sources that are the same in several images, by label: the source and its place in the errors, by image."""
+    found: dict[tuple[Any, ...], dict[int, tuple[AbstractSource, slice]]] = {}
+    for row, image in enumerate(images):
+        first, seen = 0, {}
+        for source in image.sources:
+            kind = source.label, source.axes, _words(source.sharing)
+            seen[kind] = seen.get(kind, 0) + 1
+            place = slice(first, first + len(source.axes))
+            found.setdefault((*kind, seen[kind]), {})[row] = source, place
+            first = place.stop
+    labels: dict[str, dict[int, tuple[AbstractSource, slice]]] = {}
+    for key, members in found.items():
+        label, count = key[0], 2
+        while label in labels:
+            label, count = f"{key[0]} {count}", count + 1
+        labels[label] = members
+    return labels
+
+
+def _words(sharing: AbstractSharing) -> tuple[Any, ...]:
+    return (type(sharing).__name__, *(float(leaf) for leaf in jax.tree.leaves(sharing)))
+
+
+def _effects(image: OfImage, place: slice) -> np.ndarray:
+    """Effects (6, axes) on the pose of uncorrelated errors of unit variance: the symmetric root of the covariance."""
+    values, vectors = np.linalg.eigh(image.covariance[place, place])
+    return image.by_error[:, place] @ (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+
+
+def _modes(sharing: AbstractSharing, time: np.ndarray, flight: np.ndarray, axes: int) -> tuple[list[str], np.ndarray]:
+    """(endings of names, modes (n, m)): numbers that images share, without what is each image's own."""
+    n = len(time)
+    if n == 1 or isinstance(sharing, PerImage | PerMeasurement):
+        return [], np.zeros((n, 0))
+    if isinstance(sharing, Systematic):
+        return [""], np.ones((n, 1))
+    if isinstance(sharing, PerFlight):
+        flights = np.unique(flight)
+        names = [""] if len(flights) == 1 else [f", flight {one}" for one in flights.tolist()]
+        return names, (flight[:, None] == flights[None, :]).astype(float)
+    values, vectors = np.linalg.eigh(np.asarray(_correlations(sharing, jnp.asarray(time), jnp.asarray(flight))))
+    values = values - max(values[0], 0.0)
+    kept = np.flatnonzero(values > NONE * values[-1])[::-1][: max(MOST // axes, 1)]
+    return [f", mode {k + 1}" for k in range(len(kept))], vectors[:, kept] * np.sqrt(values[kept])
+
+
+@quick_filter_jit
+def _correlations(sharing: AbstractSharing, time: jax.Array, flight: jax.Array) -> jax.Array:
+    """Correlations (n, n) of an error at images."""
+    shot = jnp.arange(time.shape[0])
+
+    def one(i: Any, j: Any) -> Any:
+        here, there = (Occasion(measurement=k, shot=k, flight=flight[k], time=time[k]) for k in (i, j))
+        return sharing.correlation(here, there)
+
+    return jax.vmap(lambda i: jax.vmap(lambda j: one(i, j))(shot))(shot)
