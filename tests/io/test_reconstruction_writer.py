@@ -34,6 +34,7 @@ def assert_same(one: FrameCamera, other: FrameCamera) -> None:
         assert np.allclose(one.ray(np.array(uv))[0], other.ray(np.array(uv))[0], atol=1e-11)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("lens", LENSES)
 def test_cameras_are_read_back(tmp_path: pathlib.Path, lens) -> None:
     camera = made(lens)
