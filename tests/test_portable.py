@@ -35,7 +35,7 @@ from jaxgeo.io import (
     read_acquisitions,
 )
 from jaxgeo.ortho import Rectifier
-from jaxgeo.ties import Pictures
+from jaxgeo.ties import KeptMatches, Pictures
 from jaxgeo.view import ViewServer
 from tests.support import looks
 from tests.support.drone_image_files import packet, write_image
@@ -100,7 +100,13 @@ def filled(cls: type) -> Any:
 
 
 SPECIAL = {DemCache, DemFiles, OrthoWriter, Rectifier}  # which have tests of their own below
-OF_A_PROCESS = {Making, Picture, Pictures, ViewServer}  # hold threads, a figure of matplotlib, a reader, a socket
+OF_A_PROCESS = {
+    KeptMatches,
+    Making,
+    Picture,
+    Pictures,
+    ViewServer,
+}  # hold functions, threads, a figure, a reader, a socket
 
 
 def test_what_public_functions_give_loses_no_digit() -> None:

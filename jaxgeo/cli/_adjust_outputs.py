@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._screen import number_table
+from jaxgeo.cli._screen import number_table, print_note
+from jaxgeo.io.errors import UnwritableLens
 
 if TYPE_CHECKING:
     from jaxgeo.ties import Correction, Ties, Views
@@ -26,23 +27,37 @@ CAPTION = (
     "east, north, up: movement of the perspective centre; turned: change of the attitude; sigmas: larger of both in "
     "standard deviations of the navigation"
 )
-FILES = "orientations.csv", "ties.csv"
+TABLES = "orientations.csv", "ties.csv"
+OPENSFM = "opensfm/reconstruction.json"
+COLMAP = "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt"
+FILES = *TABLES, OPENSFM, *COLMAP
 SHOWN = 30  # images in the table on the screen
 
 
-def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> None:
-    """Write orientations.csv and ties.csv."""
-    from jaxgeo.io import write_orientations
-    from jaxgeo.io.corrected import orientations_of, write_image_ties
+def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> list[str]:
+    """Write the tables and the models of OpenSfM and COLMAP; a note for a lens that these lack. Names of the files."""
+    from jaxgeo.io import orientations_of, write_colmap, write_image_ties, write_opensfm, write_orientations
 
     folder.mkdir(parents=True, exist_ok=True)
-    write_orientations(folder / "orientations.csv", orientations_of(found.adjustment), crs=crs)
-    write_image_ties(folder / "ties.csv", found.adjustment)
+    adjustment, written = found.adjustment, [*TABLES]
+    write_orientations(folder / TABLES[0], orientations_of(adjustment), crs=crs)
+    write_image_ties(folder / TABLES[1], adjustment)
+    (folder / OPENSFM).parent.mkdir(exist_ok=True)
+    models = (
+        ([OPENSFM], lambda: write_opensfm(folder / OPENSFM, adjustment)),
+        ([*COLMAP], lambda: write_colmap((folder / COLMAP[0]).parent, adjustment)),
+    )
+    for names, write in models:
+        try:
+            write()
+        except UnwritableLens as error:
+            print_note(f"not written: {names[0]}: {error}")
+            continue
+        written += names
+    return written
 
 
-def content_of(
-    views: Views, ties: Ties, found: Correction | None, folder: pathlib.Path, seconds: float
-) -> dict[str, Any]:
+def content_of(views: Views, ties: Ties, found: Correction | None, files: list[str], seconds: float) -> dict[str, Any]:
     """Content of --json."""
     count = 0 if ties.observations is None else len(np.unique(ties.observations.point))
     content: dict[str, Any] = {
@@ -91,7 +106,7 @@ def content_of(
             for p in adjustment.parameters
         ],
         "words": found.words().splitlines(),
-        "files": [f"{folder / name}" for name in FILES],
+        "files": files,
     }
 
 

@@ -21,8 +21,9 @@ from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_note, progress_bar, working
 
 if TYPE_CHECKING:
-    from jaxgeo.ties import Correction, Ties, Views
+    from jaxgeo.ties import Correction, KeptMatches, Matching, Ties, Views
 
+MATCHES = "matches"  # folder in that of the results, with those of the pairs
 INTERIOR = 0.005, 0.002  # of the focal length: prior sigma of focal length and principal point, if none is stated
 
 
@@ -68,7 +69,8 @@ def adjust_command(
 ) -> None:
     """Correct positions and attitudes of overlapping images by tie points among them; no map is needed.
 
-    The navigation is the prior, with the errors that the files state. Writes orientations.csv and ties.csv.
+    The navigation is the prior, with the errors that the files state. Writes orientations.csv, ties.csv,
+    and models of OpenSfM and COLMAP.
     """
     inputs = given_options(locals())
     with report_errors(debug):
@@ -83,21 +85,28 @@ def adjust_command(
         check_writable(output)
         began = time.perf_counter()
         compile_quickly()
+        how = _matching(dem_sigma, least_correlation, points)
         from jaxgeo._checks import enable_x64
 
         enable_x64()
+        from jaxgeo.ties import KeptMatches as Kept
+
         views, paths = _read(given)
+        _check_sizes(views, paths, reading_dem)
         exposures = views.exposure
         terrain = read_terrain(
             dem, reading_dem, lambda: view_of_shots(exposures[0].sensor, [one.motion for one in exposures])
         )
-        ties = _tied(views, terrain, paths, reading_dem, dem_sigma, points, least_correlation)
-        found = None
+        kept = Kept(output / MATCHES, lambda row: stamp(paths[row]))
+        ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
+        if kept.reused:
+            print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
+        found, written = None, []
         if ties.observations is not None and len(ties.parts[0]) > 1:
             with working("adjusting"):
                 found = _corrected(views, ties, self_calibrate)
-            write_files(output, found, crs)
-        content = content_of(views, ties, found, output, time.perf_counter() - began)
+            written = [f"{output / name}" for name in write_files(output, found, crs)]
+        content = content_of(views, ties, found, written, time.perf_counter() - began)
         if as_json:
             print_json("adjust", {"inputs": inputs, **content})
         else:
@@ -132,23 +141,20 @@ def _tied(
     terrain: Any,
     paths: list[pathlib.Path],
     reading: DemOptions,
-    dem_sigma: float,
+    how: Matching,
     points: int,
-    least_correlation: float,
+    kept: KeptMatches,
 ) -> Ties:
-    from jaxgeo.io.images import check_size, read_image
-    from jaxgeo.ties import Matching, Pictures, find_ties
+    from jaxgeo.io.images import read_image
+    from jaxgeo.ties import Pictures, find_ties
 
     def read(row: int) -> tuple[Any, Any]:
         with translate_reach_errors():
-            values, known = read_image(
+            return read_image(
                 paths[row], allow_remote=bool(reading.allow_remote), allow_outside=bool(reading.allow_outside)
             )
-        check_size(f"{paths[row]}", values.shape, views.camera_of(row))
-        return values, known
 
     try:
-        how = Matching(sigma_height=dem_sigma, least_score=least_correlation)
         with progress_bar() as bar:
             task = bar.add_task("compiling, matching pairs", total=None)
             return find_ties(
@@ -157,12 +163,49 @@ def _tied(
                 Pictures(read),
                 how,
                 points=points,
+                kept=kept,
                 callback=lambda done, total: bar.update(
                     task, completed=done, total=total, description="matching pairs"
                 ),
             )
     except ValueError as error:
         raise UserError(_as_options(f"{error}")) from error
+
+
+def _matching(dem_sigma: float, least_correlation: float, points: int) -> Matching:
+    """Options of matching. Raises `UserError` for wrong values."""
+    from jaxgeo.ties import Matching
+    from jaxgeo.ties.block import check_points
+
+    try:
+        check_points(points)
+        return Matching(sigma_height=dem_sigma, least_score=least_correlation)
+    except ValueError as error:
+        raise UserError(_as_options(f"{error}")) from error
+
+
+def _check_sizes(views: Views, paths: list[pathlib.Path], reading: DemOptions) -> None:
+    """Raises `UserError` for images that are missing, unreadable, or not of the size of their cameras, by headers."""
+    from jaxgeo.io.images import check_size, opened
+    from jaxgeo.io.reach import Reach
+
+    reach = Reach(bool(reading.allow_remote), bool(reading.allow_outside))
+    for row, path in enumerate(paths):
+        with translate_reach_errors(), opened(f"{path}", reach) as data:
+            shape = data.shape
+        try:
+            check_size(f"{path}", shape, views.camera_of(row))
+        except ValueError as error:
+            raise UserError(f"{error}".replace("the camera of the scene", "its camera")) from error
+
+
+def stamp(path: pathlib.Path) -> str:
+    """Text that changes with a file: its path, size and time of change; the name alone for what is not on disk."""
+    try:
+        found = path.stat()
+    except OSError:
+        return f"{path}"
+    return f"{path.absolute()} {found.st_size} {found.st_mtime_ns}"
 
 
 def _as_options(words: str) -> str:

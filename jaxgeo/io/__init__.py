@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.orientations import Orientations, read_orientations
     from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
     from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
+    from jaxgeo.io.reconstruction_writer import write_colmap, write_opensfm
     from jaxgeo.io.rectified import RectifiedFile, rectify_file
     from jaxgeo.io.regions import write_probability_map, write_region
     from jaxgeo.io.scene_from_records import write_scene
@@ -116,12 +117,14 @@ __all__ = [
     "with_usual_errors",
     "write_accuracy_map",
     "write_bal",
+    "write_colmap",
     "write_errors",
     "write_exposures",
     "write_fixes",
     "write_footprints",
     "write_image_points",
     "write_image_ties",
+    "write_opensfm",
     "write_orientations",
     "write_orthoimage",
     "write_probability_map",
@@ -165,6 +168,7 @@ _NAMES_OF = {
     "orientations": "Orientations read_orientations",
     "ortho_writer": "OrthoWriter write_orthoimage",
     "orthoimages": "OrthoimageReport read_orthoimage read_orthoimage_and_report",
+    "reconstruction_writer": "write_colmap write_opensfm",
     "rectified": "RectifiedFile rectify_file",
     "regions": "write_probability_map write_region",
     "scene_from_records": "write_scene",

@@ -56,3 +56,7 @@ class TableError(RefusedFile):
 
 class ImageError(RefusedFile):
     """An unusable image or orthoimage; the message names the file, the position and the reason."""
+
+
+class UnwritableLens(ValueError):
+    """A camera's lens model that a file format does not have; the message names the camera and what is written."""

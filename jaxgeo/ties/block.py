@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,7 @@ from jaxgeo.adjust import ImagePoints
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.ties.ground import planes_at
 from jaxgeo.ties.interest import cell_of, interest_points, power_for
+from jaxgeo.ties.kept import KeptMatches
 from jaxgeo.ties.matching import Matching, PairMatches, TieOutcome, match_pair
 from jaxgeo.ties.pairs import Pair, candidate_pairs
 from jaxgeo.ties.pictures import Pictures
@@ -69,13 +71,15 @@ def find_ties(
     pairs: Sequence[Pair] | None = None,
     points: int = 150,
     callback: Callable[[int, int], Any] | None = None,
+    kept: KeptMatches | None = None,
 ) -> Ties:
     """Tie points between all overlapping images of a block.
 
     Each image has about `points` points, one in each cell of a grid: measurements of earlier tracks, or the best
     texture of the cell. They are matched in the later images of its `pairs` (default: `candidate_pairs`), see
     `match_pair`, and joined to tracks. `callback` is called with the number of pairs done and their total. Images are
-    read once per image with pairs, and again if more than `pictures` keeps are needed.
+    read once per image with pairs, and again if more than `pictures` keeps are needed. With `kept`, each result is
+    written to its folder, and read from there in a later call with the same inputs.
 
     Raises `ValueError` for a block of one image, and no pair of overlapping images.
     """
@@ -84,8 +88,7 @@ def find_ties(
     how = Matching() if matching is None else matching
     if len(views) < 2:
         raise ValueError(f"tie points need two images or more; got {len(views)}.")
-    if points < 4:
-        raise ValueError(f"points must be 4 of each image or more; got {points}.")
+    check_points(points)
     chosen = list(candidate_pairs(views, terrain) if pairs is None else pairs)
     if not chosen:
         raise ValueError(
@@ -95,10 +98,11 @@ def find_ties(
     tracks, matched, done = Tracks(), [], 0
     for first in sorted({pair.first for pair in chosen}):
         own = [pair for pair in chosen if pair.first == first]
-        uv, numbers = _points_of(views, first, pictures, tracks, points)
+        uv, numbers = _points_of(views, first, pictures, tracks, points, kept)
         planes = planes_at(views, first, uv, terrain, float(how.size))
         for pair in own:
-            found = match_pair(views, first, pair.second, uv, planes, pictures, how)
+            find = functools.partial(match_pair, views, first, pair.second, uv, planes, pictures, how)
+            found = find() if kept is None else kept.matches(views, pair[:2], uv, planes, how, find)
             tracks.add(found, numbers)
             matched.append(_counted(views, pair, found))
             done += 1
@@ -108,14 +112,24 @@ def find_ties(
     return Ties(observations, matched, connected(views.name, observations), tracks.contradictions)
 
 
+def check_points(points: int) -> None:
+    """Raises `ValueError` for too few points of each image."""
+    if points < 4:
+        raise ValueError(f"points must be 4 of each image or more; got {points}.")
+
+
 def _points_of(
-    views: Views, row: int, pictures: Pictures, tracks: Tracks, points: int
+    views: Views, row: int, pictures: Pictures, tracks: Tracks, points: int, kept: KeptMatches | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pixels (n, 2), track numbers (n,)) of the points of an image: at most one of each cell, tracks first."""
     camera = views.camera_of(row)
     shape = camera.height, camera.width
     power = power_for(shape)
-    fresh, fresh_cell = interest_points(pictures.level(row, power), power, shape, points)
+
+    def find() -> tuple[np.ndarray, np.ndarray]:
+        return interest_points(pictures.level(row, power), power, shape, points)
+
+    fresh, fresh_cell = find() if kept is None else kept.points(views, row, points, find)
     numbers, uv = tracks.in_image(row)
     cells, first = np.unique(cell_of(uv, shape, points), return_index=True)
     is_free = ~np.isin(fresh_cell, cells)

@@ -1,0 +1,105 @@
+"""A folder of rendered drone images with tags that err, an elevation model, and the poses that rendered them."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from rasterio.transform import Affine
+
+from jaxgeo import Exposure
+from jaxgeo.io import read_dem, read_observations
+from jaxgeo.ortho import Orthoimage, render
+from jaxgeo.terrain import TangentGrid
+from support.drone_image_files import packet, write_image
+from support.fractal import fractal_posts
+from support.rasters import write
+
+LAT, LON, ABOVE, APART = 47.0, 11.0, 160.0, 40.0  # deg, m above the ground, m between images
+SIZE, FOCAL = (256, 192), 240.0  # px
+POSTS, SPACING, RELIEF = 256, 5.0, 30.0  # of the elevation model, m
+SHAPE, CELL = (900, 900), 0.6  # of the texture on the ground
+METRES, DEGREES = (2.0, 2.0, 3.0), (0.6, 0.4, 0.4)  # errors in the tags: north, east, up; yaw, pitch, roll
+EXIF = {0x920A: 8.8, 0xA002: SIZE[0], 0xA003: SIZE[1]}
+
+
+@dataclass(frozen=True)
+class ImageFolder:
+    """The folder of images, the elevation model, the names of the images, and their true exposures."""
+
+    images: pathlib.Path
+    dem: pathlib.Path
+    names: list[str]
+    true: list[Exposure]
+
+    @property
+    def arguments(self) -> list[str]:
+        """Arguments of a command that reads it."""
+        return [f"{self.images}", "--camera-datum", "ellipsoid", "--dem", f"{self.dem}"]
+
+
+def _written(folder: pathlib.Path, name: str, pose: np.ndarray, grey: np.ndarray | None = None) -> None:
+    lat, lon, height, yaw, pitch, roll = pose
+    tags = {
+        "drone-dji:AbsoluteAltitude": f"{height:+.4f}",
+        "drone-dji:GpsLatitude": f"{lat:+.10f}",
+        "drone-dji:GpsLongitude": f"{lon:+.10f}",
+        "drone-dji:GimbalYawDegree": f"{yaw:+.6f}",
+        "drone-dji:GimbalPitchDegree": f"{pitch:+.6f}",
+        "drone-dji:GimbalRollDegree": f"{roll:+.6f}",
+        "drone-dji:CalibratedFocalLength": f"{FOCAL}",
+        "drone-dji:CalibratedOpticalCenterX": f"{(SIZE[0] - 1) / 2}",
+        "drone-dji:CalibratedOpticalCenterY": f"{(SIZE[1] - 1) / 2}",
+    }
+    write_image(folder / name, packet(tags), make="DJI", exif=EXIF, size=SIZE, grey=grey)
+
+
+def _texture(seed: int) -> Orthoimage:
+    from jaxgeo import Geodetic
+
+    rng = np.random.default_rng(seed)
+    grid = TangentGrid.centred(Geodetic.from_degrees(lat=LAT, lon=LON, height=0.0), spacing=(CELL, CELL), shape=SHAPE)
+    parts = [scipy.ndimage.gaussian_filter(rng.normal(size=SHAPE), width) for width in (1.0, 2.5, 6.0)]
+    return Orthoimage.of(128.0 + 22.0 * sum(one / np.std(one) for one in parts), grid)
+
+
+def write_folder(root: pathlib.Path, count: int = 4, seed: int = 0) -> ImageFolder:
+    """Images of a strip to the north over hills; the last one shows noise."""
+    rng = np.random.default_rng(seed)
+    posts = 500.0 + fractal_posts(POSTS, spacing=SPACING, relief=RELIEF, exponent=4.0, seed=seed + 1)
+    step = np.array([SPACING / 76_060.0, SPACING / 111_180.0])  # deg of longitude and latitude at 47 deg
+    corner = np.array([LON, LAT]) + 0.5 * POSTS * step * [-1.0, 1.0]
+    affine = Affine(step[0], 0.0, corner[0], 0.0, -step[1], corner[1])
+    dem = write(root / "dem.tif", posts.astype(np.float32), affine=affine)
+    terrain = read_dem(dem, vertical_datum="ellipsoid")
+    names = [f"image_{k}.jpg" for k in range(count)]
+    poses = np.array(
+        [
+            [LAT + (k - 0.5 * (count - 1)) * APART / 111_180.0, LON + 8e-5 * (k % 2), 515.0 + ABOVE + 3.0 * (k % 2),
+             6.0 * k, -80.0 - 3.0 * (k % 2), 0.0]
+            for k in range(count)
+        ]
+    )  # fmt: skip
+    for name, pose in zip(names, poses, strict=True):
+        _written(_made(root / "true"), name, pose)
+    observed = read_observations([root / "true"], height_datum="ellipsoid")
+    true = [observed.at(row)[0].exposure for row in range(count)]
+    texture = _texture(seed)
+    images = _made(root / "images")
+    for k, (name, pose, exposure) in enumerate(zip(names, poses, true, strict=True)):
+        seen = render(exposure.sensor, exposure.motion, texture, terrain)
+        assert seen.known.all(), name
+        grey = seen.values[0] + 2.0 * rng.normal(size=SIZE[::-1])
+        if k == count - 1:
+            grey = 128.0 + 30.0 * rng.normal(size=SIZE[::-1])
+        north, east, up = METRES * rng.normal(size=3)
+        off = np.array([north / 111_180.0, east / 76_060.0, up, *(DEGREES * rng.normal(size=3))])
+        _written(images, name, pose + off, np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+    return ImageFolder(images, dem, names, true)
+
+
+def _made(folder: pathlib.Path) -> pathlib.Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

@@ -1,0 +1,207 @@
+"""`jaxgeo adjust` on a folder of rendered images: written orientations against the poses that rendered them."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import shutil
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from support.image_folder import ImageFolder, write_folder
+from typer.testing import CliRunner
+
+from jaxgeo import Gimbal, Mount, Sensor, Shot
+from jaxgeo.adjust import LocalFrame
+from jaxgeo.cli import app
+from jaxgeo.io import Orientations, read_observations, read_opensfm, read_orientations
+
+pytestmark = pytest.mark.costly
+
+DATUM = ("--dem-datum", "ellipsoid")
+OPTIONS = (*DATUM, "--dem-sigma", "3", "--points", "60")
+
+
+def run(*arguments: str | pathlib.Path):
+    return CliRunner().invoke(app, ["adjust", *map(str, arguments)])
+
+
+def assert_refused(result, *words: str) -> None:
+    assert result.exit_code == 2, result.output
+    last = result.stderr.strip().splitlines()[-1]
+    assert last.startswith("jaxgeo: ")
+    for word in words:
+        assert word in last
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory) -> ImageFolder:
+    return write_folder(tmp_path_factory.mktemp("adjust"), count=5)
+
+
+@pytest.fixture(scope="module")
+def done(here: ImageFolder, tmp_path_factory):
+    """(folder of results, content of --json)."""
+    out = tmp_path_factory.mktemp("adjusted") / "new"
+    result = run(*here.arguments, *OPTIONS, "-o", out, "--json")
+    assert result.exit_code == 0, result.output
+    return out, json.loads(result.stdout)
+
+
+def away_of(here: ImageFolder, found: Orientations) -> np.ndarray:
+    """Errors (n, 6) of orientations: centres east, north, up in m, and rotations about the camera's axes in rad."""
+    away = []
+    for k, name in enumerate(found.names):
+        exposure = here.true[here.names.index(str(name))]
+        assert isinstance(exposure.motion, Shot)
+        pose = jax.tree.map(lambda x, k=k: x[k], found.pose)
+        true = exposure.sensor.sight(exposure.motion)
+        sight = Sensor(exposure.sensor.camera, Gimbal.fixed(), Mount.nadir()).sight(Shot(pose, np.zeros(0)))
+        R = np.asarray(LocalFrame(exposure.motion.pose.position).R_ecef_from_local)
+        turn = np.asarray(true.R_ecef_from_camera).T @ np.asarray(sight.R_ecef_from_camera)
+        moved = R.T @ (np.asarray(sight.centre) - np.asarray(true.centre))
+        away.append(np.concatenate([moved, Rotation.from_matrix(turn).as_rotvec()]))
+    return np.array(away)
+
+
+def test_written_orientations_are_near_the_truth(here: ImageFolder, done) -> None:
+    """Within their standard deviations, and relative to each other far better than the tags."""
+    out, content = done
+    found = read_orientations(out / "orientations.csv", height_datum="ellipsoid")
+    assert found.names.tolist() == here.names[:4]
+    assert found.sigma is not None
+    away = away_of(here, found)
+    sigma = found.sigma[:, [1, 0, 2]]
+    assert np.all(np.abs(away[:, :3]) < 3.5 * sigma)
+    assert np.all(np.abs(away[:, 3:]) < 3.5 * np.max(found.sigma[:, 3:], axis=1, keepdims=True))
+    moved = np.array([[row[f"{axis}_m"] for axis in ("east", "north", "up")] for row in content["adjusted"]])
+    tags = away[:, :3] - moved
+    assert np.std(tags[:, 2]) > 2.0  # the errors in the tags, m
+    assert np.std(away[:, 2]) < 0.5 * np.std(tags[:, 2])
+
+
+def test_summary_has_what_was_found(here: ImageFolder, done) -> None:
+    out, content = done
+    assert content["unconnected"] == [here.names[4]]
+    assert content["residuals_rms_px"]["after"] < 0.2 < content["residuals_rms_px"]["before"]
+    ties = (out / "ties.csv").read_text().splitlines()
+    assert len(ties) - 1 == content["measurements"]["used"]
+
+
+def sights_of(observed) -> tuple[np.ndarray, np.ndarray]:
+    """(perspective centres (n, 3), rotations (n, 3, 3) of the cameras) in ECEF."""
+    each = [observed.at(row)[0].exposure for row in range(len(observed))]
+    sights = [one.sensor.sight(one.motion) for one in each]
+    return np.array([x.centre for x in sights]), np.array([x.R_ecef_from_camera for x in sights])
+
+
+def test_the_models_have_the_orientations_of_the_table(done) -> None:
+    """By the readers of this package."""
+    out, _ = done
+    centre, R = sights_of(
+        read_observations([out / "orientations.csv"], height_datum="ellipsoid", camera="focal=240px,size=256x192")
+    )
+    shots = read_opensfm(out / "opensfm" / "reconstruction.json", height_datum="ellipsoid")
+    assert shots.reference is not None
+    frame = LocalFrame(shots.reference)
+    assert np.allclose(np.asarray(frame.to_ecef(shots.centres)), centre, atol=3e-4)
+    assert np.allclose(np.asarray(frame.R_ecef_from_local) @ shots.R_enu_from_camera, R, atol=1e-8)
+    (origin,) = (
+        line.split(":", 2)[2] for line in (out / "colmap/images.txt").read_text().splitlines() if "frame: enu" in line
+    )
+    there = read_observations([out / "colmap"], height_datum="ellipsoid", crs=f"enu:{origin}")
+    centre_there, R_there = sights_of(there)
+    assert np.allclose(centre_there, centre, atol=3e-4)
+    assert np.allclose(R_there, R, atol=1e-8)
+
+
+def test_colmap_reads_its_model_and_finds_the_same_residuals(done) -> None:
+    pycolmap = pytest.importorskip("pycolmap", reason="needs pycolmap")
+    out, content = done
+    model = pycolmap.Reconstruction(out / "colmap")
+    assert model.num_images() == 4
+    squared = []
+    for image in model.images.values():
+        for point in image.points2D:
+            place = model.points3D[point.point3D_id].xyz
+            squared.append(np.sum((image.project_point(place) - point.xy) ** 2))
+    assert len(squared) == content["measurements"]["used"]
+    assert np.sqrt(0.5 * np.mean(squared)) == pytest.approx(content["residuals_rms_px"]["after"], rel=0.02)
+    track = next(iter(model.points3D.values())).track.elements
+    assert len({one.image_id for one in track}) == len(track) >= 2
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (("--dem-sigma", "-1"), "--dem-sigma must be positive; got -1.0"),
+        (("--least-correlation", "1.5"), "--least-correlation must lie in (0, 1]; got 1.5"),
+        (("--points", "2"), "--points must be 4 of each image or more; got 2"),
+    ],
+)
+def test_wrong_values_are_refused_before_files_are_read(tmp_path, here, options, words) -> None:
+    missing = tmp_path / "images"
+    missing.mkdir()
+    result = run(missing, *here.arguments[1:], *DATUM, *options, "-o", tmp_path / "out")
+    assert_refused(result, words)
+
+
+def test_one_image_is_refused(tmp_path, here) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    shutil.copy(here.images / here.names[0], folder)
+    result = run(folder, *here.arguments[1:], *DATUM, "-o", tmp_path / "out")
+    assert_refused(result, "adjust needs two images or more with positions; got 1")
+
+
+def test_images_without_navigation_are_refused_with_what_is_needed(tmp_path, here) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for name in here.names[:2]:
+        Image.fromarray(np.asarray(Image.open(here.images / name))).save(folder / name)
+    result = run(folder, *here.arguments[1:], *DATUM, "-o", tmp_path / "out")
+    assert_refused(result, "none of 2 files can be read")
+    assert "--gimbal" in result.stderr
+
+
+def write_table(path: pathlib.Path, names: list[str], lat: tuple[float, float]) -> pathlib.Path:
+    rows = [f"{name},{one},11.0,680,0,0,0" for name, one in zip(names, lat, strict=True)]
+    path.write_text("\n".join(["image,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg", *rows, ""]))
+    return path
+
+
+def test_images_far_apart_are_refused(tmp_path, here) -> None:
+    table = write_table(tmp_path / "poses.csv", here.names[:2], (46.9975, 47.0025))
+    result = run(table, *table_options(here.images, here), "-o", tmp_path / "out")
+    assert_refused(result, "no two of 2 images overlap")
+
+
+def table_options(images: pathlib.Path, here: ImageFolder) -> list[str]:
+    return ["--images", f"{images}", *here.arguments[1:], *DATUM, "--camera", "focal=240px,size=256x192"]
+
+
+@pytest.mark.parametrize("size, word", [((320, 240), "1.25 times its size"), ((300, 192), "cut")])
+def test_an_image_of_another_camera_is_refused(tmp_path, here, size, word) -> None:
+    """By its header, before any image is matched."""
+    folder = tmp_path / "images"
+    shutil.copytree(here.images, folder)
+    Image.open(folder / here.names[1]).resize(size).save(folder / here.names[1])
+    table = write_table(tmp_path / "poses.csv", here.names[:2], (47.0, 47.0002))
+    result = run(table, *table_options(folder, here), "-o", tmp_path / "out")
+    assert_refused(result, here.names[1], word)
+
+
+def test_a_second_run_reads_the_matches_of_the_first(here, done) -> None:
+    out, content = done
+    before = (out / "orientations.csv").read_bytes()
+    kept = sorted((out / "matches").glob("pair-*.npz"))
+    assert len(kept) == len(content["pairs"])
+    kept[0].write_bytes(b"damaged")
+    kept[1].unlink()
+    result = run(*here.arguments, *OPTIONS, "-o", out)
+    assert result.exit_code == 0, result.output
+    assert f"{len(kept) - 2} of {len(kept)} pairs were read from" in result.stderr
+    assert (out / "orientations.csv").read_bytes() == before
