@@ -209,8 +209,15 @@ def draw_lines(plan: LinePlan, part: Part, size: Size, enough: int | None = None
 
 
 def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
-    """The chunk of a part from its perturbed lines of sight. Devices do not wait for each other's sums."""
-    return (_draw_chunk_long if size.is_long_run else _draw_chunk_short)(plan, lines, part, centre, size, keep)
+    """The chunk of a part from its perturbed lines of sight. Devices do not wait for each other's sums.
+
+    Only the program of long runs has a variant without the errors of samples: that of short ones always returns them,
+    so that one program serves both.
+    """
+    if size.is_long_run:
+        return _draw_chunk_long(plan, lines, part, centre, size, keep)
+    drawn = _draw_chunk_short(plan, lines, part, centre, size, True)
+    return drawn if keep else drawn._replace(errors=None)
 
 
 def fixes_of_points(
