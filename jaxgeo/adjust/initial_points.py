@@ -48,6 +48,21 @@ def started(
     return np.where(np.isnan(place[:, :1]), place[rows[0]], place)
 
 
+def of_parallel_rays(block: Block) -> np.ndarray:
+    """Flags (k,) of the measurements of points whose rays are parallel, from the start orientations.
+
+    Such points have no place, as those of images from one position. Raises `ValueError` as `rays_of`.
+    """
+    observations = block.observations
+    by_name = np.argsort(block.images.name)
+    image = by_name[np.searchsorted(block.images.name, observations.image, sorter=by_name)]
+    _, point, count = np.unique(observations.point, return_inverse=True, return_counts=True)
+    _, direction = rays_of(block, np.arange(len(point)), image)
+    normal = np.zeros((len(count), 3, 3))
+    np.add.at(normal, point, np.eye(3) - direction[:, :, None] * direction[:, None, :])
+    return (np.linalg.eigvalsh(normal)[:, 0] / count < NEVER_MEETING)[point]
+
+
 def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(perspective centres (k, 3), unit directions (k, 3) in the block's frame) of the chosen measurements.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import pathlib
 import time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -76,7 +77,10 @@ def adjust_command(
     with report_errors(debug):
         given = OrientedImages(files, None, images, reading)
         given.check()
+        _check_map(crs)
         if not given.are_several:
+            if not files[0].exists() and ":" not in f"{files[0]}":
+                raise UserError(f"{files[0]}: there is no such file or folder.")
             raise UserError(
                 f"{files[0]}: adjust needs two images or more; give a folder of images, or a file of poses with "
                 f"--images FOLDER."
@@ -91,7 +95,7 @@ def adjust_command(
         enable_x64()
         from jaxgeo.ties import KeptMatches as Kept
 
-        views, paths = _read(given)
+        views, paths, assumed = _read(given)
         _check_sizes(views, paths, reading_dem)
         exposures = views.exposure
         terrain = read_terrain(
@@ -108,32 +112,67 @@ def adjust_command(
             written = [f"{output / name}" for name in write_files(output, found, crs)]
         content = content_of(views, ties, found, written, time.perf_counter() - began)
         if as_json:
-            print_json("adjust", {"inputs": inputs, **content})
+            print_json("adjust", {"inputs": inputs, "assumed": assumed, **content})
         else:
             print_summary(content, found)
     if found is None:
         raise typer.Exit(NO_ANSWER)
 
 
-def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path]]:
-    """(the images with their navigation, their files). Raises `UserError`."""
+def _check_map(crs: str | None) -> None:
+    """Raises `UserError` for a --crs that is no map in metres, before any image is matched."""
+    from jaxgeo.io._map_grid import metric_map
+    from jaxgeo.io.errors import TableError
+
+    if crs is None:
+        return
+    try:
+        metric_map("", crs)
+    except TableError as error:
+        raise UserError(f"{error}".removeprefix(": ").replace("crs = ", "--crs ", 1)) from error
+
+
+def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path], list[str]]:
+    """(the images with their navigation, their files, what is assumed). Raises `UserError`."""
     from jaxgeo.ties import Views
 
     observed, paths = given.read()
-    for one in map(as_typed, observed.assumed):
+    assumed = [as_typed(one) for one in observed.assumed]
+    for one in assumed:
         if "sigma" in one:
             print_note(f"assumed: {one}")
-    rows = observed.read_rows.tolist()
+    rows = _without_copies(observed.read_rows.tolist(), paths)
     if len(rows) < 2:
         raise UserError(f"{observed.source}: adjust needs two images or more with positions; got {len(rows)}.")
     each = [observed.at(row) for row in rows]
     names = [str(observed.columns[row].get("name", row)) for row in rows]
     try:
-        return Views.of(names, [one.exposure for one, _ in each], [errors for _, errors in each]), [
-            paths[row] for row in rows
-        ]
+        return (
+            Views.of(names, [one.exposure for one, _ in each], [errors for _, errors in each]),
+            [paths[row] for row in rows],
+            assumed,
+        )
     except (TypeError, ValueError) as error:
         raise UserError(f"{observed.source}: {error}") from error
+
+
+def _without_copies(rows: list[int], paths: list[pathlib.Path]) -> list[int]:
+    """The rows whose files equal none of an earlier row, byte by byte; a note for each of the others.
+
+    A copy has no parallax with its original, and would count the navigation of one image twice.
+    """
+    by_size: dict[int, list[int]] = {}
+    kept = []
+    for row in rows:
+        path = paths[row]
+        alike = by_size.setdefault(path.stat().st_size, []) if path.is_file() else []
+        original = next((one for one in alike if filecmp.cmp(paths[one], path, shallow=False)), None)
+        if original is None:
+            alike.append(row)
+            kept.append(row)
+        else:
+            print_note(f"left out: {path} is a copy of {paths[original]}")
+    return kept
 
 
 def _tied(

@@ -21,6 +21,7 @@ from jaxgeo.adjust import (
     Unknowns,
 )
 from jaxgeo.adjust.bundle import adjusted
+from jaxgeo.adjust.initial_points import of_parallel_rays
 from jaxgeo.adjust.kept import Kept, block_of, masked, set_aside
 from jaxgeo.adjust.measurements import image_residuals, in_view
 from jaxgeo.adjust.problem import Prepared, prepared
@@ -137,9 +138,11 @@ def correct(
     The largest connected part is adjusted. First with a robust loss (Cauchy), and without measurements off by more than
     four standard deviations, scaled by the median residual; then by least squares of the rest, whose standard
     deviations are scaled by the residuals. `unknowns` adds a self-calibration (`images` are always free), `terrain`
-    observations of the heights of the points.
+    observations of the heights of the points. Points whose rays are parallel, as in images from one position, have no
+    place and are left out.
 
-    Raises `ValueError` without tie points between any two images, and as `jaxgeo.adjust.adjust`.
+    Raises `ValueError` without tie points between any two images, for rays that are all parallel, and as
+    `jaxgeo.adjust.adjust`.
     """
     check_is(views, Views, "views")
     observations = ties.observations if isinstance(ties, Ties) else ties
@@ -150,6 +153,7 @@ def correct(
         )
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
+    observations = _of_places(views, observations)
     while True:
         part = connected(views.name, observations)[0]
         if len(part) < 2:
@@ -164,6 +168,17 @@ def correct(
         observations = left  # an image has lost its ties
     found, scale = _final(block, unknowns, terrain, kept, values, scale)
     return _correction(views, found, scale, given)
+
+
+def _of_places(views: Views, observations: ImagePoints) -> ImagePoints:
+    """The measurements of points whose rays are not parallel. Raises `ValueError` if all are."""
+    parallel = of_parallel_rays(_block(views, observations))
+    if np.all(parallel):
+        raise ValueError(
+            "the rays of all tie points are parallel, so that these have no place; are the images of one position, or "
+            "one image under several names?"
+        )
+    return observations.of(~parallel) if np.any(parallel) else observations
 
 
 def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None) -> tuple[Kept, Values, float]:

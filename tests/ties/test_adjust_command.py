@@ -205,3 +205,31 @@ def test_a_second_run_reads_the_matches_of_the_first(here, done) -> None:
     assert result.exit_code == 0, result.output
     assert f"{len(kept) - 2} of {len(kept)} pairs were read from" in result.stderr
     assert (out / "orientations.csv").read_bytes() == before
+
+
+def test_a_copy_of_an_image_changes_nothing(tmp_path, here, done) -> None:
+    """It is named, and neither stops the others nor counts the navigation twice."""
+    folder = tmp_path / "with a copy é"
+    shutil.copytree(here.images, folder)
+    shutil.copy(folder / here.names[1], folder / f"zz {here.names[1]}")
+    out = tmp_path / "out"
+    result = run(folder, *here.arguments[1:], *OPTIONS, "-o", out, "--json")
+    assert result.exit_code == 0, result.output
+    assert f"zz {here.names[1]} is a copy of" in " ".join(result.stderr.split())
+    content = json.loads(result.stdout)
+    assert content["images"] == len(here.names)
+    assert content["assumed"]
+    assert (out / "orientations.csv").read_bytes() == (done[0] / "orientations.csv").read_bytes()
+
+
+@pytest.mark.parametrize("crs, words", [("EPSG:9999999", "unknown to PROJ"), ("EPSG:4326", "is no map")])
+def test_a_wrong_map_is_refused_before_files_are_read(tmp_path, here, crs, words) -> None:
+    missing = tmp_path / "images"
+    missing.mkdir()
+    result = run(missing, *here.arguments[1:], *DATUM, "--crs", crs, "-o", tmp_path / "out")
+    assert_refused(result, f"--crs '{crs}'", words)
+
+
+def test_a_missing_folder_is_named(tmp_path, here) -> None:
+    result = run(tmp_path / "none", *here.arguments[1:], *DATUM, "-o", tmp_path / "out")
+    assert_refused(result, "there is no such file or folder")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -137,3 +139,29 @@ def test_blocks_that_cannot_be_tied_are_refused(here: Strip) -> None:
     views = [Exposure(SENSOR, here.given[0])] * 2
     with pytest.raises(ValueError, match="no error of position"):
         Views.of(["a", "b"], views, [ERRORS[1:], ERRORS[1:]])
+
+
+def test_points_seen_from_one_position_are_left_out(here: Strip, ties: Ties) -> None:
+    """An image and its twin at the same place share points without parallax; all else is adjusted as without them."""
+    observed = ties.observations
+    assert observed is not None
+    rows = np.flatnonzero(observed.image == here.names[0])
+    twin = ImagePoints(
+        np.concatenate([observed.image, np.repeat([here.names[0], here.names[4]], len(rows))]),
+        np.concatenate([observed.point, *2 * [np.char.add("alone ", observed.point[rows].astype(str))]]),
+        np.concatenate([observed.uv, observed.uv[rows], observed.uv[rows]]),
+        np.concatenate([observed.sigma, observed.sigma[rows], observed.sigma[rows]]),
+    )
+    views = replace(
+        here.views,
+        centre=np.concatenate([here.views.centre[:4], here.views.centre[:1]]),
+        R_frame_from_camera=np.concatenate([here.views.R_frame_from_camera[:4], here.views.R_frame_from_camera[:1]]),
+    )
+    found = correct(views, twin)
+    alone = correct(here.views, observed)
+    assert found.names == alone.names
+    assert here.names[4] in found.unconnected
+    assert found.left_out == alone.left_out + 2 * len(rows)
+    assert np.allclose(found.moved, alone.moved, atol=1e-6)
+    with pytest.raises(ValueError, match="parallel"):
+        correct(views, twin.of(np.char.startswith(twin.point.astype(str), "alone")))
