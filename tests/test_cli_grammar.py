@@ -203,7 +203,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"rectify {SMALL} {READING} -o out.tif",
     f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
     f"adjust FILE --images i --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid --dem-sigma 2 "
-    "--points 100 --least-correlation 0.6 --self-calibrate --crs EPSG:32616 --dem-datum EPSG:5773 -o out --json "
+    "--points 100 --least-correlation 0.6 --no-self-calibrate --crs EPSG:32616 --dem-datum EPSG:5773 -o out --json "
     "--debug",
     f"adjust FILE --dem dem.tif {READING} -o out",
     f"footprint FILE --dem dem.tif {FILE}",

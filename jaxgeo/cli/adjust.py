@@ -7,6 +7,7 @@ import pathlib
 import time
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from jaxgeo._destination import check_no_input
@@ -22,10 +23,11 @@ from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_note, progress_bar, working
 
 if TYPE_CHECKING:
+    from jaxgeo.adjust import Unknowns
     from jaxgeo.ties import Correction, KeptMatches, Matching, Ties, Views
 
 MATCHES = "matches"  # folder in that of the results, with those of the pairs
-INTERIOR = 0.005, 0.002  # of the focal length: prior sigma of focal length and principal point, if none is stated
+INTERIOR = 0.005, 0.002, 0.002  # of the focal length: sigmas of focal length and principal point, if none is stated
 
 
 def adjust_command(
@@ -55,8 +57,13 @@ def adjust_command(
         float, typer.Option("--least-correlation", metavar="SCORE", help="Smallest correlation of a match.")
     ] = 0.5,
     self_calibrate: Annotated[
-        bool, typer.Option("--self-calibrate", help="Also adjust focal length and principal point of each camera.")
-    ] = False,
+        bool,
+        typer.Option(
+            "--self-calibrate/--no-self-calibrate",
+            help="Adjust focal length and principal point of each camera too, by the sigmas stated for them; without, "
+            "their errors are not in the results.",
+        ),
+    ] = True,
     crs: Annotated[
         str | None,
         typer.Option(
@@ -95,7 +102,11 @@ def adjust_command(
         enable_x64()
         from jaxgeo.ties import KeptMatches as Kept
 
-        views, paths, assumed = _read(given)
+        views, paths, assumed, errors = _read(given)
+        if output.resolve() in {path.resolve().parent for path in paths}:
+            raise UserError(
+                f"--output {output}: the images are there; give another folder, such as {output / 'adjusted'}."
+            )
         _check_sizes(views, paths, reading_dem)
         exposures = views.exposure
         terrain = read_terrain(
@@ -108,7 +119,7 @@ def adjust_command(
         found, written = None, []
         if ties.observations is not None and len(ties.parts[0]) > 1:
             with working("adjusting"):
-                found = _corrected(views, ties, self_calibrate)
+                found = _corrected(views, ties, _interior(views, errors) if self_calibrate else None)
             written = [f"{output / name}" for name in write_files(output, found, crs)]
         content = content_of(views, ties, found, written, time.perf_counter() - began)
         if as_json:
@@ -132,8 +143,8 @@ def _check_map(crs: str | None) -> None:
         raise UserError(f"{error}".removeprefix(": ").replace("crs = ", "--crs ", 1)) from error
 
 
-def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path], list[str]]:
-    """(the images with their navigation, their files, what is assumed). Raises `UserError`."""
+def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path], list[str], list[Any]]:
+    """(the images with their navigation, their files, what is assumed, their errors). Raises `UserError`."""
     from jaxgeo.ties import Views
 
     observed, paths = given.read()
@@ -147,11 +158,8 @@ def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path], list[str]]:
     each = [observed.at(row) for row in rows]
     names = [str(observed.columns[row].get("name", row)) for row in rows]
     try:
-        return (
-            Views.of(names, [one.exposure for one, _ in each], [errors for _, errors in each]),
-            [paths[row] for row in rows],
-            assumed,
-        )
+        errors = [errors for _, errors in each]
+        return Views.of(names, [one.exposure for one, _ in each], errors), [paths[k] for k in rows], assumed, errors
     except (TypeError, ValueError) as error:
         raise UserError(f"{observed.source}: {error}") from error
 
@@ -259,17 +267,28 @@ def _as_options(words: str) -> str:
     return words.replace(", or lower least_overlap", "")
 
 
-def _corrected(views: Views, ties: Ties, self_calibrate: bool) -> Correction:
-    from jaxgeo.adjust import DeficientBlock, NotConverged, Prior, Unknowns
+def _interior(views: Views, errors: list[Any]) -> Unknowns:
+    """Focal length and principal point of each camera as unknowns, with the sigmas stated with its first image."""
+    from jaxgeo.adjust import Prior, Unknowns
+    from jaxgeo.uncertainty.sources import InteriorOrientation
+
+    focal, principal = {}, {}
+    for name, camera in views.cameras.items():
+        given = errors[int(np.flatnonzero(views.camera == name)[0])]
+        stated = [one for one in getattr(given, "sources", given) if isinstance(one, InteriorOrientation)]
+        usual = np.array(INTERIOR) * float(np.max(camera.focal_px))
+        sigma = np.asarray(stated[0].sigma, float) if stated else usual
+        if sigma[0] > 0.0:
+            focal[name] = Prior(sigma[0])
+        if np.all(sigma[1:] > 0.0):
+            principal[name] = Prior(sigma[1:])
+    return Unknowns(focal=focal, principal=principal)
+
+
+def _corrected(views: Views, ties: Ties, unknowns: Unknowns | None) -> Correction:
+    from jaxgeo.adjust import DeficientBlock, NotConverged
     from jaxgeo.ties import correct
 
-    unknowns = None
-    if self_calibrate:
-        priors = {name: float(max(camera.focal_px)) for name, camera in views.cameras.items()}
-        unknowns = Unknowns(
-            focal={name: Prior(INTERIOR[0] * focal) for name, focal in priors.items()},
-            principal={name: Prior(INTERIOR[1] * focal) for name, focal in priors.items()},
-        )
     try:
         return correct(views, ties, unknowns)
     except (DeficientBlock, NotConverged, ValueError) as error:

@@ -116,6 +116,11 @@ class Correction:
             f"{north:.3g}, {up:.3g} m (E, N, U; one sigma"
             + (")." if self.views.common else ", as its errors are stated to be independent between images).")
         ]
+        if not self.adjustment.parameters:
+            lines.append(
+                "Focal length and principal point are held as given: their errors are not in the standard deviations, "
+                "unless self-calibration takes them in."
+            )
         constant = [name for name in self.hidden if ", mode" not in name]
         if constant:
             lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")

@@ -233,3 +233,19 @@ def test_a_wrong_map_is_refused_before_files_are_read(tmp_path, here, crs, words
 def test_a_missing_folder_is_named(tmp_path, here) -> None:
     result = run(tmp_path / "none", *here.arguments[1:], *DATUM, "-o", tmp_path / "out")
     assert_refused(result, "there is no such file or folder")
+
+
+def test_the_folder_of_the_images_is_no_output(here) -> None:
+    refused = run(*here.arguments, *OPTIONS, "-o", here.images)
+    assert refused.exit_code == 2
+    assert "the images are there; give another folder" in refused.stderr
+    assert not (here.images / "orientations.csv").exists()
+
+
+def test_the_camera_is_unknown_by_the_sigma_assumed_for_it(here, done) -> None:
+    """0.3 % of a focal length of 240 px: what the images show of it can only make that smaller."""
+    _, content = done
+    sigma = {one["name"]: one["sigma"] for one in content["parameters"]}
+    assert any("0.3 %" in one for one in content["assumed"])
+    assert 0.0 < sigma["focal"] < 0.003 * 240.0
+    assert not any("held as given" in one for one in content["words"])
