@@ -33,6 +33,7 @@ ORDER = (
     "sweeping_camera",
     "pose_from_fixes",
     "bundle_adjustment",
+    "images_without_a_map",
     "registration",
     "new_sensor",
     "many_frames",
