@@ -109,8 +109,10 @@ def _image(path: pathlib.Path) -> None:
 
 def _images(path: pathlib.Path) -> None:
     path.mkdir()
-    for name in ("DJI_0042.JPG", "DJI_0043.JPG"):
+    for number, name in enumerate(("DJI_0042.JPG", "DJI_0043.JPG")):
         _image(path / name)
+        with (path / name).open("ab") as file:
+            file.write(b"\0" * number)  # no copy of the other
 
 
 def _telemetry(path: pathlib.Path) -> None:

