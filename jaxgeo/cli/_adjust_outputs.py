@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._screen import number_table, print_note
-from jaxgeo.io.errors import UnwritableLens
 
 if TYPE_CHECKING:
     from jaxgeo.ties import Correction, Ties, Views
@@ -37,6 +36,7 @@ SHOWN = 30  # images in the table on the screen
 def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> list[str]:
     """Write the tables and the models of OpenSfM and COLMAP; a note for a lens that these lack. Names of the files."""
     from jaxgeo.io import orientations_of, write_colmap, write_image_ties, write_opensfm, write_orientations
+    from jaxgeo.io.errors import UnwritableLens
 
     folder.mkdir(parents=True, exist_ok=True)
     adjustment, written = found.adjustment, [*TABLES]
