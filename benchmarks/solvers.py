@@ -302,7 +302,9 @@ def boresight(repeats: int) -> list[Table]:
         def one(step: jax.Array, image: Any) -> jax.Array:
             of, centre, R, strip = image
             R = R @ R_from_rotation_vector(step[3:])
-            return navigation_residual(of, centre + step[:3], R, R_from_rotation_vector(turn), lever, strip)
+            return navigation_residual(
+                of, centre + step[:3], R, R_from_rotation_vector(turn), lever, strip, values.common
+            )
 
         return jnp.concatenate([jax.vmap(one)(steps, images).ravel(), root @ unknowns[3:]])
 

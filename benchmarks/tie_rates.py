@@ -118,7 +118,7 @@ def ours(given: list[Shot], files: list[pathlib.Path], pairs: int, points: int) 
 
 def colmap(folder: pathlib.Path, database: pathlib.Path, kind: str, count: int) -> dict[str, Any]:
     """Figures of COLMAP: features once, and matching of all pairs or of neighbours."""
-    import pycolmap
+    import pycolmap  # pyright: ignore[reportMissingImports]
 
     database.unlink(missing_ok=True)
     names = sorted(one.name for one in folder.glob("*.jpg"))[:count]
