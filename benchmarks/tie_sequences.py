@@ -156,7 +156,7 @@ def disturbed(site: Site, errors: Any, rng: np.random.Generator) -> Views:
 
 
 def _shot_of(sensor: Sensor, motion: Any, wanted: Any) -> Shot:
-    """The shot whose camera is oriented as wanted: what errs in the mount is given to the pose, so that all images have
+    """The shot whose camera is oriented as wanted: errors of the mount are moved into the pose, so that all images have
     one sensor. Without lever arms."""
     R_body_from_camera = np.asarray(sensor.mount.R_body_from_base) @ np.asarray(sensor.mount.R_head_from_camera)
     position = motion.pose.position

@@ -16,7 +16,9 @@ from jaxgeo.terrain import ConstantHeight
 
 def check_ground(ground: GroundOptions) -> None:
     """Raises `UserError` unless there is either an elevation model or a height."""
-    if bool(ground.dem) == (ground.level is not None):
+    if ground.dem and ground.level is not None:
+        raise UserError("--dem and --ground exclude each other: give one of them.")
+    if not ground.dem and ground.level is None:
         raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
     if ground.dem:
         return

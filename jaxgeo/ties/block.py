@@ -115,7 +115,7 @@ def find_ties(
 def check_points(points: int) -> None:
     """Raises `ValueError` for too few points of each image."""
     if points < 4:
-        raise ValueError(f"points must be 4 of each image or more; got {points}.")
+        raise ValueError(f"points must be 4 or more in each image; got {points}.")
 
 
 def _points_of(

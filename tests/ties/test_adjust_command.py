@@ -140,7 +140,7 @@ def test_colmap_reads_its_model_and_finds_the_same_residuals(done) -> None:
     [
         (("--dem-sigma", "-1"), "--dem-sigma must be positive; got -1.0"),
         (("--least-correlation", "1.5"), "--least-correlation must lie in (0, 1]; got 1.5"),
-        (("--points", "2"), "--points must be 4 of each image or more; got 2"),
+        (("--points", "2"), "--points must be 4 or more in each image; got 2"),
     ],
 )
 def test_wrong_values_are_refused_before_files_are_read(tmp_path, here, options, words) -> None:
