@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax._src.core import trace_state_clean
 from jax.core import Tracer
-from jax.custom_batching import custom_vmap
 
 from jaxgeo._accelerator import platform_of
 from jaxgeo._checks import is_known
@@ -268,16 +267,7 @@ def _is_mapped_once(leaf: Any, other: Any) -> bool:
 
 def _delivered(found: Any, traced: Any) -> Any:
     """Results (leading axis) as those of the `vmap` that traces `traced`."""
-
-    @custom_vmap
-    def of_one(_: Any) -> Any:
-        return jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), found)
-
-    @of_one.def_vmap
-    def _(axis_size: int, in_batched: Any, _: Any) -> Any:
-        return jax.device_put(found), jax.tree.map(lambda _: True, found)  # asarray would compile a program each
-
-    return of_one(traced)
+    return jax.tree.map(lambda x: type(traced)(traced._trace, x, 0), jax.device_put(found))
 
 
 class _RareCollection:

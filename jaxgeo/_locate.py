@@ -78,7 +78,7 @@ def intersect(
     air = checked_air(atmosphere if ray.bending is None else ray.bending.air)
     ray = as_float64(Ray(as_array(ray.origin, "ray.origin"), as_array(ray.direction, "ray.direction")), "ray")
     check_ray(ray)
-    fix = _intersect(ray, Status.hit.code, terrain, search, air)
+    fix, _ = met_apart(ray, Status.hit.code, terrain, search, air)
     return thrown(fix) if throw else fix
 
 
@@ -210,7 +210,6 @@ def project(
     return _project(*seen_from, point, terrain, tolerance, checked_air(atmosphere))
 
 
-@quick_jit
 def _locate(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -220,7 +219,7 @@ def _locate(
     search: AbstractSearch,
     air: Atmosphere | None,
 ) -> Fix:
-    return _intersect(*_line_of_sight(sensor, shot, time, pixel), terrain, search, air)
+    return met_apart(*_line_of_sight(sensor, shot, time, pixel), terrain, search, air)[0]
 
 
 def located_anywhere(
@@ -283,13 +282,6 @@ def _project(
     return Projection(jnp.where(has_image, uv, jnp.nan), status)
 
 
-@quick_jit
-def _intersect(
-    ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
-) -> Fix:
-    return met_by(ray, status, terrain, search, air)[0]
-
-
 def met_by(
     ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
 ) -> tuple[Fix, Bracket]:
@@ -320,6 +312,10 @@ def met_by(
     slant_range = _straight_distance(ray, distance)
     fix = Fix(position, p_ecef, slant_range, incidence, incidence_surface, slope, status)
     return _mask(fix, found), searched
+
+
+# A program of its own where it is called directly: one search for all cameras, gimbals and shots.
+met_apart = quick_jit(met_by)
 
 
 def touched_by(
@@ -360,6 +356,7 @@ def _touched(ray: Ray, status: StatusCode, bracket: Bracket, terrain: AbstractTe
     return ray.at(bracket.near - step), status
 
 
+@quick_jit
 def _line_of_sight(sensor: Sensor, shot: Shot | Trajectory, time: Scalar, uv: Pixel) -> tuple[Ray, StatusCode]:
     origin, direction, status = line_of_sight(sensor, shot, time, uv)
     return Ray(origin, direction), status

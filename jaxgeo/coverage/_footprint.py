@@ -256,15 +256,15 @@ def _located(looked: Looked, uv: np.ndarray) -> tuple[Fix, np.ndarray]:
     parts = []
     for first in range(0, len(uv), BATCH):
         here = uv[np.minimum(np.arange(first, first + BATCH), len(uv) - 1)]
-        found = _seen_and_mapped(looked, jnp.asarray(here))
+        fix = seen_at(looked.sensor, looked.image, jnp.asarray(here), looked.terrain, looked.air)
+        found = fix, _mapped(looked.projection, fix.ecef)
         parts.append(jax.tree.map(lambda x, count=min(BATCH, len(uv) - first): np.asarray(x)[:count], found))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 @batch_filter_jit
-def _seen_and_mapped(looked: Looked, uv: Float[Array, "places 2"]) -> tuple[Fix, Float[Array, "places 2"]]:
-    fix = seen_at(looked.sensor, looked.image, uv, looked.terrain, looked.air)
-    return fix, jax.vmap(lambda p: on_map(looked.projection, p))(fix.ecef)
+def _mapped(projection: TransverseMercator, p_ecef: Float[Array, "places 3"]) -> Float[Array, "places 2"]:
+    return jax.vmap(lambda p: on_map(projection, p))(p_ecef)
 
 
 def _seen(fix: Fix) -> np.ndarray:

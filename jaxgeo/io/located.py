@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxgeo._compile import long_run_filter_jit, long_run_jit
+from jaxgeo._compile import long_run_filter_jit
 from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
@@ -122,7 +122,7 @@ def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain, *, size: i
         return
     size = next((size for size in CHUNKS if size >= total), CHUNKS[-1]) if size is None else size
     if size == 1:
-        yield jax.tree.map(lambda leaf: np.asarray(leaf)[None], _located(batch.at(0)[0], terrain_at(terrain, 0)))
+        yield jax.tree.map(lambda leaf: np.asarray(leaf)[None], locate(batch.at(0)[0], terrain_at(terrain, 0)))
         return
     for start in range(0, total, size):
         index = np.minimum(np.arange(start, start + size), total - 1)
@@ -130,14 +130,9 @@ def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain, *, size: i
         yield jax.tree.map(lambda leaf, last=total - start: np.asarray(leaf)[:last], fixes)
 
 
-@long_run_jit
-def _located(observation: Observation, terrain: AbstractTerrain) -> Fix:
-    return locate(observation, terrain)
-
-
 @long_run_filter_jit
 def _located_many(observation: Observation, terrain: AbstractTerrain, is_one_camera: bool, axis: int | None) -> Fix:
-    return jax.vmap(_located, in_axes=(axes_of(observation, is_one_camera), axis))(observation, terrain)
+    return jax.vmap(locate, in_axes=(axes_of(observation, is_one_camera), axis))(observation, terrain)
 
 
 def _pairs(observed: Observations, terrain: Terrain) -> Iterator[tuple[ObservationBatch, AbstractTerrain]]:

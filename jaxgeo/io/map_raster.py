@@ -15,7 +15,6 @@ import numpy as np
 import pyproj
 from rasterio.transform import Affine
 
-from jaxgeo._compile import batch_filter_jit
 from jaxgeo._locate import locate
 from jaxgeo.earth import WGS84
 from jaxgeo.io._outlines import outline
@@ -262,7 +261,6 @@ def _sees_nothing(name: str) -> NothingSeen:
     return NothingSeen(f"{name}: no line of sight of the image comes down on the terrain; there is nothing to map.")
 
 
-@batch_filter_jit
 def _located(sensor: Sensor, shot: Any, uv: jax.Array, terrain: AbstractTerrain, options: dict[str, Any]) -> Any:
     """Latitudes and longitudes in rad, and statuses."""
     fix = jax.vmap(lambda pixel: locate(sensor, shot, pixel, terrain, **options))(uv)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -14,9 +14,10 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxgeo._accelerator import by_device
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
-from jaxgeo._compile import batch_filter_jit, long_run_filter_jit
-from jaxgeo._locate import FIRST_HIT, located_anywhere
+from jaxgeo._compile import MOST_ROWS, ROWS, batch_filter_jit, long_run_filter_jit, quick_jit
+from jaxgeo._locate import FIRST_HIT, met_apart
 from jaxgeo.earth import WGS84, Atmosphere
+from jaxgeo.fix import Fix
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
 from jaxgeo.ortho.orthoimage import Orthoimage
@@ -24,10 +25,11 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.model_inputs import ModelInputs, Sightline
 
-CHUNK, CHUNK_ACCELERATOR = 1024, 2**18  # rays per call: one size, compiled once
+CHUNK, CHUNK_ACCELERATOR = ROWS, 2**18  # rays per call: one size, compiled once
 MANY = 4_000_000  # rays; a program that is optimised more repays its compiling from here on
+EACH_RAY = (0, 0, None, None, None)  # axes of what `met_by` is given
 BILINEAR = Bilinear()
 
 
@@ -99,49 +101,57 @@ def seen_at(
     """(orthoimage values at the first terrain hits of pixels, zero if unknown; mask of known values; the `Status`).
     Pixels may lie outside the image where the camera still defines rays."""
     pixels = Pixels.of(jnp.asarray(reference.values), jnp.asarray(reference.known))
-    parts = []
-    for part in _chunks(uv):
-        found = _met_of(len(uv))(inputs, part)
-        parts.append((*_sampled_on(reference.grid, pixels, found, how), found.status))
-    value, is_known, code = (
-        np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True)
-    )
-    return value[:, : len(uv)], is_known[: len(uv)], code[: len(uv)]
+    found = met(inputs, uv)
+    parts = [_sampled_on(reference.grid, pixels, part, how) for part in _chunks(found, _chunk())]
+    value, is_known = (np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True))
+    return value[:, : len(uv)], is_known[: len(uv)], found.status
 
 
 def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
     """First terrain hits of pixels; they may lie outside the image."""
-    parts = [_met_of(len(uv))(inputs, part) for part in _chunks(uv)]
-    return Met(*(np.concatenate([np.asarray(x) for x in column])[: len(uv)] for column in zip(*parts, strict=True)))
+    chunk = _chunk()
+    if len(uv) > MANY:
+        parts = [_met_many(inputs, part) for part in _chunks(uv, chunk)]
+    else:
+        filled = np.concatenate(_chunks(uv, chunk))
+        most = by_device(MOST_ROWS, CHUNK_ACCELERATOR)
+        parts = [_met_few(inputs, filled[k : k + most]) for k in range(0, len(filled), most)]
+    fix, cell = jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[: len(uv)], *parts)
+    hit, nowhere = fix.status == Status.hit, np.array([WGS84.a, 0.0, 0.0])
+    lat, lon, height = (np.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))
+    return Met(np.where(hit[:, None], fix.ecef, nowhere), lat, lon, height, cell, fix.status)
 
 
-def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
-    chunk = by_device(CHUNK, CHUNK_ACCELERATOR)
-    padded = np.resize(uv, (max(-(-len(uv) // chunk), 1) * chunk, 2)) if len(uv) else np.zeros((chunk, 2))
-    return [jnp.asarray(padded[k : k + chunk]) for k in range(0, len(padded), chunk)]
+def _chunk() -> int:
+    return by_device(CHUNK, CHUNK_ACCELERATOR)
 
 
-def _met(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
-    """One shared program for all uses, since the terrain search takes long to compile."""
-    nowhere = jnp.array([WGS84.a, 0.0, 0.0])
-
-    def one(pixel: Float[Array, "2"]) -> tuple[Any, ...]:
-        fix, bracket = located_anywhere(
-            inputs.sensor, inputs.motion, jnp.asarray(inputs.time), pixel, inputs.terrain, FIRST_HIT, inputs.air
-        )
-        hit = fix.status == Status.hit
-        lat, lon, height = (jnp.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))
-        return jnp.where(hit, fix.ecef, nowhere), lat, lon, height, bracket.cell, fix.status
-
-    return Met(*jax.vmap(one)(uv))
+def _chunks(rows: Any, size: int) -> list[Any]:
+    """Arrays with the same leading axis in parts of `size` rows; the last one is filled up, so that all fit one
+    program."""
+    count = len(jax.tree.leaves(rows)[0])
+    if count == 0:
+        return [jax.tree.map(lambda x: np.zeros((size, *x.shape[1:]), x.dtype), rows)]
+    index = np.minimum(np.arange(-(-count // size) * size), count - 1).reshape(-1, size)
+    return [jax.tree.map(lambda x, k=k: x[k], rows) for k in index]
 
 
-_met_short, _met_long = batch_filter_jit(_met), long_run_filter_jit(_met)
+def _met_few(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> tuple[Fix, Int[Any, "n 2"]]:
+    """By the program of the search that `locate` and all cameras share, since it takes long to compile."""
+    ray, status = jax.vmap(_sightline, in_axes=(None, 0))(inputs, uv)
+    fix, bracket = jax.vmap(met_apart, in_axes=EACH_RAY)(ray, status, inputs.terrain, FIRST_HIT, inputs.air)
+    return fix, bracket.cell
 
 
-def _met_of(count: int) -> Callable[[ModelInputs, Any], Met]:
-    """The program for a number of pixels: one that runs faster is worth its time to compile for many."""
-    return _met_long if count > MANY else _met_short
+@long_run_filter_jit
+def _met_many(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> tuple[Fix, Int[Array, "n 2"]]:
+    """By one program, which runs faster, and is worth its time to compile."""
+    return _met_few(inputs, uv)
+
+
+@quick_jit
+def _sightline(inputs: ModelInputs, pixel: Float[Array, "2"]) -> Sightline:
+    return dataclasses.replace(inputs, uv=pixel).sightline()
 
 
 @batch_filter_jit

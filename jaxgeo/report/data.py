@@ -72,7 +72,7 @@ class ReportData:
         found = None
         if errors is None:
             see = lambda *given: locate(*given, atmosphere=atmosphere)  # noqa: E731
-            fixes = jax.jit(jax.vmap(see, in_axes=in_axes[:4]))(sensor, shots, jnp.asarray(uv), terrain)
+            fixes = jax.vmap(see, in_axes=in_axes[:4])(sensor, shots, jnp.asarray(uv), terrain)
         else:
             options: dict[str, Any] = {"probability": probability, "atmosphere": atmosphere}
             found = accuracy(sensor, shots, uv, terrain, errors, in_axes=in_axes, **options)

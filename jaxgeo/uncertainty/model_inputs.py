@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_float64
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT, has_point, located_anywhere, met_by, touched_by
+from jaxgeo._locate import FIRST_HIT, has_point, located_anywhere, met_apart, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, PixelField, Scalar, StatusCode, Vector3
@@ -28,7 +28,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.sensor.platform import Pose, Station
 from jaxgeo.status import Status, have_fix, seen_beside
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, Dem, FirstHit
 from jaxgeo.terrain.polish import polish
 
 KNOTS = 8  # trajectory knots kept about an exposure; its time error must stay within them
@@ -175,7 +175,9 @@ class ModelInputs(Record):
 
     def nominal_fix(self, search: AbstractSearch) -> NominalFix:
         """Nominal fix of the observation, without derivatives."""
-        return _nominal_fix(self, search)
+        inputs = jax.lax.stop_gradient(self)
+        ray, status = _sightline(inputs)
+        return _nominal_fix(inputs, *met_apart(ray, status, inputs.terrain, search, inputs.air))
 
     def linear_offset(self, nominal: NominalFix) -> Vector3:
         """Offset in m from `nominal` of the intersection of this line of sight with the surface of the same cell.
@@ -237,10 +239,13 @@ def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
 
 
 @quick_filter_jit
-def _nominal_fix(inputs: ModelInputs, search: AbstractSearch) -> NominalFix:
-    inputs = jax.lax.stop_gradient(inputs)
+def _sightline(inputs: ModelInputs) -> Sightline:
+    return inputs.sightline()
+
+
+@quick_filter_jit
+def _nominal_fix(inputs: ModelInputs, fix: Fix, bracket: Bracket) -> NominalFix:
     terrain, _ = inputs.terrain.made_safe()
-    fix, bracket = inputs._located(search)
     seen = fix.found
     ray = tree_where(seen, inputs.ray(), terrain.safe_ray()).through(inputs.air)
     bracket = tree_where(seen, bracket, jax.tree.map(jnp.zeros_like, bracket))
