@@ -20,6 +20,7 @@ LAYERS = [
     ["fix"],
     ["observation"],
     ["_arguments"],
+    ["_intersection"],
     ["_locate"],
     ["uncertainty"],
     ["adjust"],

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_array, check_finite
 from jaxgeo._compile import batch_filter_jit, quick_filter_jit
-from jaxgeo._locate import FIRST_HIT, located_anywhere
+from jaxgeo._intersection import FIRST_HIT
+from jaxgeo._locate import located_anywhere
 from jaxgeo._numerics import dot, larger, safe_angle, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, PixelField, Scalar, ScalarField, StatusField, Vector3

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import as_float64, concrete
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import dot, larger, safe_norm, smaller
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field

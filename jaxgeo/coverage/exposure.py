@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import checked_exposure
 from jaxgeo._checks import check_is
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT, locate
+from jaxgeo._intersection import FIRST_HIT
+from jaxgeo._locate import locate
 from jaxgeo._numerics import dot
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3

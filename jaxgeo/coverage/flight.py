@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is, check_range
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import cross, matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._compile import batch_filter_jit, quick_filter_jit
-from jaxgeo._locate import FIRST_HIT, visibility
+from jaxgeo._intersection import FIRST_HIT, visibility
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, StatusCode, StatusField

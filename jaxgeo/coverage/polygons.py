@@ -13,7 +13,8 @@ from jaxtyping import Array, Float, Int8
 from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import check_is
 from jaxgeo._compile import batch_filter_jit
-from jaxgeo._locate import FIRST_HIT, project
+from jaxgeo._intersection import FIRST_HIT
+from jaxgeo._locate import project
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, StatusCode, StatusField

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import larger, matvec, safe_norm, smaller
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField

@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT, locate
+from jaxgeo._intersection import FIRST_HIT
+from jaxgeo._locate import locate
 from jaxgeo._record import Record
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.earth._on_host import R_ecef_from_enu_of, ecef_of, normals_of

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int8
 
 from jaxgeo._accelerator import by_device
 from jaxgeo._compile import long_run_filter_jit
-from jaxgeo._locate import sight_along, visibility
+from jaxgeo._intersection import sight_along, visibility
 from jaxgeo._numerics import dot, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, Vector3

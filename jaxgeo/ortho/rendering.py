@@ -15,7 +15,7 @@ from jaxgeo._accelerator import by_device
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
 from jaxgeo._compile import MOST_ROWS, ROWS, batch_filter_jit, long_run_filter_jit, quick_jit
-from jaxgeo._locate import FIRST_HIT, met_apart
+from jaxgeo._intersection import FIRST_HIT, met_apart
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.observation import Exposure, accepts_exposure
@@ -136,7 +136,7 @@ def _chunks(rows: Any, size: int) -> list[Any]:
     return [jax.tree.map(lambda x, k=k: x[k], rows) for k in index]
 
 
-def _met_few(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> tuple[Fix, Int[Any, "n 2"]]:
+def _met_few(inputs: ModelInputs, uv: Any) -> tuple[Fix, Int[Any, "n 2"]]:
     """By the program of the search that `locate` and all cameras share, since it takes long to compile."""
     ray, status = jax.vmap(_sightline, in_axes=(None, 0))(inputs, uv)
     fix, bracket = jax.vmap(met_apart, in_axes=EACH_RAY)(ray, status, inputs.terrain, FIRST_HIT, inputs.air)
@@ -150,7 +150,7 @@ def _met_many(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> tuple[Fix, Int[Ar
 
 
 @quick_jit
-def _sightline(inputs: ModelInputs, pixel: Float[Array, "2"]) -> Sightline:
+def _sightline(inputs: ModelInputs, pixel: Any) -> Sightline:
     return dataclasses.replace(inputs, uv=pixel).sightline()
 
 

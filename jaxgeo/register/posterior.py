@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
 from jaxgeo._checks import concrete
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flags, Numbers, ScalarField, StatusField

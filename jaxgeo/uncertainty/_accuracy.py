@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, is_known
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._typing import Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.observation import accepts_observation

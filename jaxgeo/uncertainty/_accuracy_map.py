@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField
 from jaxgeo.earth import Atmosphere, Geodetic

@@ -12,7 +12,7 @@ import numpy as np
 import scipy  # submodules load lazily, when first used
 
 from jaxgeo._blas_threads import one_thread
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._reml import LARGEST, ZERO, Likelihood, Minimum

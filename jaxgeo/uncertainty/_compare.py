@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, Int8
 
 from jaxgeo._checks import concrete
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._typing import StatusCode
 from jaxgeo.earth.atmosphere import Atmosphere

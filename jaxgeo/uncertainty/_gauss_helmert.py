@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.observation import accepts_observation

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, Int8
 
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere

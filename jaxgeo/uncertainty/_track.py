@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxgeo._arguments import check_terrain
 from jaxgeo._checks import check_is
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.sensor import Trajectory
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight

@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # submodules load lazily, when first used
 
 from jaxgeo._blas_threads import one_thread
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.check_errors import CheckErrors, errors_at
 from jaxgeo.uncertainty.check_points import CheckPoints

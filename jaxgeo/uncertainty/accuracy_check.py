@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import check_is
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.observation import accepts_observation

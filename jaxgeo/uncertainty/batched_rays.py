@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int8
 
 from jaxgeo._accelerator import by_device
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import has_point, touched_by_each
+from jaxgeo._intersection import has_point, touched_by_each
 from jaxgeo._numerics import matvec
 from jaxgeo._typing import Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere

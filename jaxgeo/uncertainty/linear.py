@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import is_known
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import Matrix3, Scalar, Vector3

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._compile import batch_filter_jit
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import all_finite, dot
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.sensor import Trajectory

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_float64
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._locate import FIRST_HIT, has_point, located_anywhere, met_apart, met_by, touched_by
+from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
+from jaxgeo._locate import located_anywhere
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, PixelField, Scalar, StatusCode, Vector3

@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._accelerator import by_device
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.observation import accepts_observation

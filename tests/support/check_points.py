@@ -23,7 +23,7 @@ from jaxgeo import (
     Sensor,
     Shot,
 )
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.uncertainty import CheckPoints, PerFlight, PerImage, Systematic, sources

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, propagate
 from jaxgeo.uncertainty._budget import budget, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.model_inputs import ModelInputs

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.classical.iterated import to_geodetic_simultaneous, to_geodetic_successive
 from jaxgeo.sensor.exposure import line_of_sight

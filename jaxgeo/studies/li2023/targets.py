@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._locate import FIRST_HIT
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.li2023 import printed
