@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -14,10 +13,9 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from jaxgeo._accelerator import by_device
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
-from jaxgeo._compile import MOST_ROWS, ROWS, batch_filter_jit, long_run_filter_jit, quick_jit
-from jaxgeo._intersection import FIRST_HIT, met_apart
+from jaxgeo._compile import MOST_ROWS, ROWS, batch_filter_jit, long_run_filter_jit
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.earth import WGS84, Atmosphere
-from jaxgeo.fix import Fix
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
 from jaxgeo.ortho.orthoimage import Orthoimage
@@ -25,11 +23,10 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.uncertainty.model_inputs import ModelInputs, Sightline
+from jaxgeo.uncertainty.model_inputs import ModelInputs, located_each
 
 CHUNK, CHUNK_ACCELERATOR = ROWS, 2**18  # rays per call: one size, compiled once
 MANY = 4_000_000  # rays; a program that is optimised more repays its compiling from here on
-EACH_RAY = (0, 0, None, None, None)  # axes of what `met_by` is given
 BILINEAR = Bilinear()
 
 
@@ -109,17 +106,15 @@ def seen_at(
 
 def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
     """First terrain hits of pixels; they may lie outside the image."""
-    chunk = _chunk()
     if len(uv) > MANY:
-        parts = [_met_many(inputs, part) for part in _chunks(uv, chunk)]
+        parts = [_located_many(inputs, part) for part in _chunks(uv, _chunk())]
     else:
-        filled = np.concatenate(_chunks(uv, chunk))
-        most = by_device(MOST_ROWS, CHUNK_ACCELERATOR)
-        parts = [_met_few(inputs, filled[k : k + most]) for k in range(0, len(filled), most)]
-    fix, cell = jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[: len(uv)], *parts)
+        filled, most = np.concatenate(_chunks(uv, _chunk())), by_device(MOST_ROWS, CHUNK_ACCELERATOR)
+        parts = [located_each(inputs, filled[k : k + most]) for k in range(0, len(filled), most)]
+    fix, bracket = jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[: len(uv)], *parts)
     hit, nowhere = fix.status == Status.hit, np.array([WGS84.a, 0.0, 0.0])
     lat, lon, height = (np.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))
-    return Met(np.where(hit[:, None], fix.ecef, nowhere), lat, lon, height, cell, fix.status)
+    return Met(np.where(hit[:, None], fix.ecef, nowhere), lat, lon, height, bracket.cell, fix.status)
 
 
 def _chunk() -> int:
@@ -136,22 +131,8 @@ def _chunks(rows: Any, size: int) -> list[Any]:
     return [jax.tree.map(lambda x, k=k: x[k], rows) for k in index]
 
 
-def _met_few(inputs: ModelInputs, uv: Any) -> tuple[Fix, Int[Any, "n 2"]]:
-    """By the program of the search that `locate` and all cameras share, since it takes long to compile."""
-    ray, status = jax.vmap(_sightline, in_axes=(None, 0))(inputs, uv)
-    fix, bracket = jax.vmap(met_apart, in_axes=EACH_RAY)(ray, status, inputs.terrain, FIRST_HIT, inputs.air)
-    return fix, bracket.cell
-
-
-@long_run_filter_jit
-def _met_many(inputs: ModelInputs, uv: Float[Array, "n 2"]) -> tuple[Fix, Int[Array, "n 2"]]:
-    """By one program, which runs faster, and is worth its time to compile."""
-    return _met_few(inputs, uv)
-
-
-@quick_jit
-def _sightline(inputs: ModelInputs, pixel: Any) -> Sightline:
-    return dataclasses.replace(inputs, uv=pixel).sightline()
+# One program, which runs faster, and is worth its time to compile.
+_located_many = long_run_filter_jit(located_each)
 
 
 @batch_filter_jit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -10,16 +11,16 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgeo._arguments import checked_air, checked_exposure
 from jaxgeo._compile import batch_filter_jit
-from jaxgeo._locate import locate
-from jaxgeo._record import Record
-from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_enu
+from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.observation import Exposure
 from jaxgeo.register.prediction import in_chunks
 from jaxgeo.register.registration import Registration
-from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain import Bracket
+from jaxgeo.uncertainty.model_inputs import ModelInputs, located_each, nominal_fix_of
 
 
 class BlockPlaces(NamedTuple):
@@ -61,39 +62,28 @@ def places_of_blocks(
     if update is not None:
         residual[tied] = np.asarray(update.residuals)
         time, atmosphere = update.time, update.atmosphere
-    scene = _Scene(registration.sensor, registration.shot, registration.terrain, time, atmosphere)
-    lat, lon, height, on_ground = in_chunks(
-        lambda rows: _on_ground(scene, rows), np.concatenate([uv, residual], axis=1)
-    )
+    sensor, motion, moment = checked_exposure(registration.sensor, registration.shot, time)
+    inputs = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=registration.terrain)
+    rows = np.concatenate([uv, residual], axis=1)
+    lat, lon, height, on_ground = in_chunks(lambda rows: _on_ground(inputs, rows), rows)
     return BlockPlaces(uv, Geodetic(lat=lat, lon=lon, height=height), tie, on_ground)
 
 
-class _Scene(Record):
-    """Forward-model inputs of the ground positions."""
-
-    sensor: Sensor
-    motion: Shot | Trajectory
-    terrain: AbstractTerrain
-    time: Any
-    air: Atmosphere | None
+def _on_ground(inputs: ModelInputs, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
+    """(lat, lon, height of the ground, residual there) for rows of a pixel and its residual."""
+    return _with_residuals(inputs, rows, *located_each(inputs, rows[:, :2]))
 
 
 @batch_filter_jit
-def _on_ground(scene: _Scene, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
-    """(lat, lon, height of the ground, residual there) for rows of a pixel and its residual."""
-
-    def ground(pixel: Float[Array, "2"]) -> tuple[Array, Fix]:
-        fix = locate(scene.sensor, scene.motion, pixel, scene.terrain, time=scene.time, atmosphere=scene.air)
-        return fix.ecef, fix
-
-    def one(row: Float[Array, "4"]) -> tuple[Array, Array, Array, Array]:
-        is_pixel = jnp.isfinite(row[0])
-        by_pixel, fix = jax.jacfwd(ground, has_aux=True)(jnp.where(is_pixel, row[:2], 0.0))
-        found = is_pixel & (jnp.asarray(fix.status) == Status.hit)
-        here = fix.position
-        safe = Geodetic(lat=jnp.where(found, here.lat, 0.0), lon=jnp.where(found, here.lon, 0.0), height=jnp.zeros(()))
-        aside = R_ecef_from_enu(safe)[:, :2].T @ by_pixel @ row[2:]
+def _with_residuals(
+    inputs: ModelInputs, rows: Float[Array, "n 4"], fixes: Fix, brackets: Bracket
+) -> tuple[Array, Array, Array, Array]:
+    def one(row: Float[Array, "4"], fix: Fix, bracket: Bracket) -> tuple[Array, Array, Array, Array]:
+        found, here = jnp.asarray(fix.status) == Status.hit, fix.position
+        uv = jnp.where(found, row[:2], 0.0)
+        nominal = nominal_fix_of(dataclasses.replace(inputs, uv=uv), fix, bracket)
+        by_pixel = jax.jacfwd(lambda uv: dataclasses.replace(inputs, uv=uv).linear_offset(nominal))(uv)
         lat, lon, height = (jnp.where(found, jnp.asarray(x), jnp.nan) for x in (here.lat, here.lon, here.height))
-        return lat, lon, height, jnp.where(found, aside, jnp.nan)
+        return lat, lon, height, jnp.where(found, by_pixel[:2] @ row[2:], jnp.nan)
 
-    return jax.vmap(one)(rows)
+    return jax.vmap(one)(rows, fixes, brackets)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -13,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_float64
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
 from jaxgeo._locate import located_anywhere
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
@@ -234,6 +235,20 @@ class ModelInputs(Record):
         return tree_where(sound, Ray(origin, direction), stand_in)
 
 
+def located_each(inputs: ModelInputs, uv: Any, search: AbstractSearch = FIRST_HIT) -> tuple[Fix, Bracket]:
+    """Fixes of pixels (n, 2) of one exposure, which may lie outside the image, and where the search found the ground.
+
+    Called directly, by the programs that `locate` uses under a `jax.vmap`, since a search takes long to compile.
+    """
+    ray, status = jax.vmap(_sightline_of, in_axes=(None, 0))(inputs, uv)
+    return jax.vmap(met_apart, in_axes=(0, 0, None, None, None))(ray, status, inputs.terrain, search, inputs.air)
+
+
+@quick_jit
+def _sightline_of(inputs: ModelInputs, uv: Any) -> Sightline:
+    return dataclasses.replace(inputs, uv=uv).sightline()
+
+
 def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
     """The terrain with arrays for Python numbers, which would be constants of a program, recompiled for each value."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
@@ -244,8 +259,8 @@ def _sightline(inputs: ModelInputs) -> Sightline:
     return inputs.sightline()
 
 
-@quick_filter_jit
-def _nominal_fix(inputs: ModelInputs, fix: Fix, bracket: Bracket) -> NominalFix:
+def nominal_fix_of(inputs: ModelInputs, fix: Fix, bracket: Bracket) -> NominalFix:
+    """The nominal fix from the fix of `inputs` and what the search found."""
     terrain, _ = inputs.terrain.made_safe()
     seen = fix.found
     ray = tree_where(seen, inputs.ray(), terrain.safe_ray()).through(inputs.air)
@@ -255,6 +270,9 @@ def _nominal_fix(inputs: ModelInputs, fix: Fix, bracket: Bracket) -> NominalFix:
     R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
     arriving = ray.heading_at(distance)
     return NominalFix(fix, p_ecef, distance, bracket.cell, R.T @ (arriving / safe_norm(arriving)), R)
+
+
+_nominal_fix = quick_filter_jit(nominal_fix_of)
 
 
 def swept_by(
