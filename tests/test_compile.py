@@ -14,10 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.core import Tracer
+from support.scenes import small_dem
 
 import jaxgeo
+from jaxgeo import uncertainty as un
 from jaxgeo._compile import batch_options, long_run_options, one_program, quick_filter_jit, quick_jit, quick_options
 from jaxgeo._program_cache import forget_oldest
+from jaxgeo.terrain import Bisection
+from jaxgeo.uncertainty import sources
 
 KEEPS = """
 import json, sys, warnings
@@ -217,6 +221,32 @@ def test_rows_of_any_argument_are_mapped_and_a_missing_fix_is_told() -> None:
     across = jax.vmap(jaxgeo.locate, in_axes=(None, None, 1, None))(sensor, shot, PIXELS[:4].T, GROUND)
     along = jax.vmap(jaxgeo.locate, in_axes=BY_PIXEL)(sensor, shot, PIXELS[:4], GROUND)
     np.testing.assert_array_equal(across.ecef, along.ecef)
+
+
+@pytest.mark.costly
+def test_one_search_is_compiled_for_all_cameras_shots_and_questions() -> None:
+    """Of a kind of terrain: for single pixels, and under a `vmap` for rows of them."""
+    traced = []
+
+    class Counted(Bisection):
+        def bracket(self, ray: Any, dem: Any) -> Any:
+            traced.append(ray)
+            return super().bracket(ray, dem)
+
+    search, dem = Counted(), small_dem(np.full((5, 5), 600.0))
+    three_axes, shot = _scene()
+    fixed = jaxgeo.Sensor(three_axes.camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+    level = jaxgeo.Shot(shot.pose)
+    middle, rows = np.array([399.5, 299.5]), PIXELS[:3]
+    errors = un.ErrorModel((sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1),))
+    fix = jaxgeo.locate(three_axes, shot, middle, dem, search=search)
+    jaxgeo.locate(fixed, level, middle, dem, search=search)
+    look = un.propagate(three_axes, shot, middle, dem, errors, search=search)
+    np.testing.assert_array_equal(look.fix.ecef, fix.ecef)
+    assert len(traced) == 1
+    for sensor, seen_from in ((three_axes, shot), (fixed, level)):
+        jax.vmap(lambda uv, *of: jaxgeo.locate(*of, uv, dem, search=search), (0, None, None))(rows, sensor, seen_from)
+    assert len(traced) == 2
 
 
 def test_options_are_those_of_the_device_that_programs_run_on(monkeypatch: pytest.MonkeyPatch) -> None:
