@@ -57,7 +57,7 @@ def error_samples(
     atmosphere: Atmosphere | None = None,
 ) -> ErrorSamples:
     """The samples with these numbers (...) that `sample` draws of the same arguments with `key` and `draws`, up to
-    rounding (1e-8 m): a pure function. Independent ones by default: `Random()`.
+    rounding (1e-8 m): a pure function. Unlike those of `sample` they are independent by default: `Random()`.
 
     It works under `jit`, `vmap` over any argument, and `jax.export`, also for a symbolic number of indices; call it
     inside of `jit`, with the terrain as an argument. Blocks of 3392 samples are computed at a time. Without a nominal

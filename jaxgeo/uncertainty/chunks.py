@@ -178,7 +178,7 @@ def make_plan(
     plan = plan._replace(fixes=plan.fixes._replace(search=found))
     if isinstance(draws, Sobol):
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
-        plan = plan._replace(lines=plan.lines._replace(rotation=jax.device_put(rotation)))
+        plan = plan._replace(lines=plan.lines._replace(rotation=rotation))
     return plan, size
 
 

@@ -55,12 +55,16 @@ class Trial(NamedTuple):
     regression: np.ndarray
 
     @classmethod
-    @functools.lru_cache(maxsize=64)
     def of(cls, draws: Sobol, size: int, leading: int) -> Trial:
         """The first samples of the key 0, for an error vector of `size` axes."""
-        normal = draws.trial(min(max(FEWEST, EACH * size), TRIALS), size, leading)
-        with_mean = np.column_stack([np.ones(len(normal)), normal])
-        return cls(normal, np.linalg.pinv(with_mean)[1:])
+        return _trial(draws.scrambles, size, leading)
+
+
+@functools.lru_cache(maxsize=64)
+def _trial(scrambles: int, size: int, leading: int) -> Trial:
+    normal = Sobol(scrambles).trial(min(max(FEWEST, EACH * size), TRIALS), size, leading)
+    with_mean = np.column_stack([np.ones(len(normal)), normal])
+    return Trial(normal, np.linalg.pinv(with_mean)[1:])
 
 
 def rotation_of(

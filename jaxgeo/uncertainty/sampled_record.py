@@ -148,9 +148,9 @@ class Sampled(Record):
 
         Parts are drawn by `sample` with the same arguments, each with its own `first` and `count`. The result does not
         depend on the order or grouping of merges. Counts, statuses, radii and quantiles are those of the samples drawn
-        at once; mean and covariance too, up to rounding. Parts may leave gaps (see `ranges`): samples are independent,
-        so that any set of them estimates the same figures. A merge of radii and summaries is a summary; samples are
-        kept if all parts keep them.
+        at once; mean and covariance too, up to rounding. Parts may leave gaps (see `ranges`): any set of samples
+        that is not chosen by their values estimates the same figures. A merge of radii and summaries is a summary;
+        samples are kept if all parts keep them.
 
         Raises `TypeError` for other arguments than `Sampled`, and `ValueError` for parts that share samples, of another
         sampling (sensor, shot, pixel, terrain, errors, key, ...), or with other figures or another confidence.

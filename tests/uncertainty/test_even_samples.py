@@ -194,10 +194,11 @@ def test_intervals_hold_as_often_as_they_say_whatever_the_number(count: int) -> 
     assert min(held.values()) >= 180, held
 
 
-def test_samples_are_drawn_independently_by_default() -> None:
+def test_samples_are_drawn_from_sobol_points_by_default() -> None:
     found = sample(*SCENE, key=KEY, count=160)
-    same = sample(*SCENE, sampling=Sampling(count=160, key=KEY, draws=Random()))
+    same = sample(*SCENE, sampling=Sampling(count=160, key=KEY, draws=Sobol()))
     np.testing.assert_array_equal(found.radii["CE"], same.radii["CE"])
-    other = dataclasses.replace(Sampling(count=160, key=KEY), draws=Sobol())
-    assert sample(*SCENE, sampling=other).scrambles == 16
+    assert found.scrambles == 16
+    other = dataclasses.replace(Sampling(count=160, key=KEY), draws=Random())
+    assert sample(*SCENE, sampling=other).scrambles == 0
     assert jaxgeo.Sampling().draws is None
