@@ -107,7 +107,7 @@ def rates(dem: jaxgeo.Dem, counts: tuple[int, ...], repeats: int) -> list[Table]
 def agreement(dem: jaxgeo.Dem, count: int = 10_000) -> list[Table]:
     """Agreement of both: hits for the same errors, and circular errors for independent draws."""
     scene = scene_of(dem)
-    drawn, circular = sampled(dem, count, keep=True)
+    drawn, circular = sampled(dem, count, keep=True, draws=Random())
     normals = jax.vmap(lambda number: Random().standard_normal(KEY, number, ERRORS.size))(np.arange(count))
     apart = np.linalg.norm(numpy_sampling.misses(scene, np.asarray(normals)) - drawn.errors_enu, axis=1)
     theirs = numpy_sampling.sampled(scene, count, np.random.default_rng(1))
@@ -131,9 +131,9 @@ def surety(dem: jaxgeo.Dem, keys: int = 200, truth: int = 2**22) -> list[Table]:
     columns += [Column("mean less truth", "%"), Column("intervals that hold it", "%", "higher")]
     table = Table(f"How sure CE90 is, over {keys} keys", columns)
     ways: dict[str, dict[str, Any]] = {
-        "random": {"count": SCRAMBLED},
+        "random": {"count": SCRAMBLED, "draws": Random()},
         "Sobol": {"count": SCRAMBLED, "draws": Sobol()},
-        "random, to 0.2 % on either side": {"count": 1_000_000, "half_width": 0.002},
+        "random, to 0.2 % on either side": {"count": 1_000_000, "half_width": 0.002, "draws": Random()},
         "Sobol, to 0.2 % on either side": {
             "count": 1_024_000,
             "half_width": 0.002,
@@ -164,7 +164,7 @@ def doors(dem: jaxgeo.Dem, repeats: int) -> list[Table]:
         "sample, 1e4": (10_000, lambda: sampled(dem, 10_000)),
         "sample, 1e4, 1 device": (10_000, lambda: sampled(dem, 10_000, devices=jax.devices()[:1])),
         "sample, 16 x 1024 Sobol points": (SCRAMBLED, lambda: sampled(dem, SCRAMBLED, draws=Sobol())),
-        "sample, 16 x 1024 random": (SCRAMBLED, lambda: sampled(dem, SCRAMBLED)),
+        "sample, 16 x 1024 random": (SCRAMBLED, lambda: sampled(dem, SCRAMBLED, draws=Random())),
         "the same with a field of terrain errors": (SCRAMBLED, lambda: sampled(dem, SCRAMBLED, WITH_FIELD)),
         "propagate": (None, lambda: ready(propagate(*look, ERRORS).cov_enu)),
         "propagate over the footprint": (None, lambda: ready(propagate(*look, ERRORS, slope=Footprint()).cov_enu)),
