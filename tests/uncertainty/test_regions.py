@@ -391,7 +391,8 @@ def test_regions_over_terrain_hold_fresh_samples(slope_deg: float) -> None:
         drawn = sample(SENSOR, shot, (1999.5, 1999.5), dem, model, count=COUNT, **how)
         if drawn.failed > 0.05:
             continue
-        fresh = sample(SENSOR, shot, (1999.5, 1999.5), dem, model, first=COUNT, count=60_000, **how)
+        other = how | {"key": jax.random.key(1000 + number)}  # later points of one key would fill the gaps of the first
+        fresh = sample(SENSOR, shot, (1999.5, 1999.5), dem, model, count=60_000, **other)
         region = drawn.region(0.9)
         held.append(fresh.probability_within(region.polygon).value)
         ratios.append(region.area / (math.pi * drawn.circular_error(0.9).value ** 2))
