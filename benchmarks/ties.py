@@ -269,7 +269,7 @@ def mutual(block: Real, views: Views, unknowns: Unknowns | None, points: int) ->
         "unconnected": result.unconnected,
         "residual_before_px": result.rms_before,
         "residual_after_px": result.rms_after,
-        "sigma_scale": result.scale,
+        "excess_px": result.excess,
         "matching_s": matched - began,
         "adjustment_s": time.process_time() - matched,
     }

@@ -35,7 +35,7 @@ class Refined(NamedTuple):
     found: Bool[Array, "*batch"]
 
 
-class _Smooth(NamedTuple):
+class Smooth(NamedTuple):
     value: Block
     down: Block
     across: Block
@@ -53,10 +53,10 @@ def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: 
     The covariance of the estimate uses residuals with their empirical autocorrelation: the product of their power
     spectrum and that of the weights that map residuals to a shift.
     """
-    known = _all_known(known_T) & _all_known(known_S)
+    known = all_known(known_T) & all_known(known_S)
     mask = known.astype(float)
     S = standardised(S, known_S)
-    fixed = _smooth(standardised(T, known_T), jnp.zeros(2))
+    fixed = smooth(standardised(T, known_T), jnp.zeros(2))
 
     def goes_on(state: _State) -> Flag:
         _, last, steps = state
@@ -64,16 +64,16 @@ def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: 
 
     def step(state: _State) -> _State:
         d, _, steps = state
-        normal, Z, residual = _equations(fixed, _smooth(S, d), mask)
-        change = (_inverse(normal) @ (Z @ residual.reshape(-1)))[:2]
+        normal, Z, residual = _equations(fixed, smooth(S, d), mask)
+        change = (inverse(normal) @ (Z @ residual.reshape(-1)))[:2]
         new = jnp.clip(d + jnp.clip(change, -0.5, 0.5), -FURTHEST, FURTHEST)
         return new, jnp.max(jnp.abs(new - d)), steps + 1
 
     d, last, _ = jax.lax.while_loop(goes_on, step, (start, jnp.asarray(jnp.inf), jnp.asarray(0)))
-    normal, Z, residual = _equations(fixed, _smooth(S, d), mask)
+    normal, Z, residual = _equations(fixed, smooth(S, d), mask)
     count = jnp.sum(mask)
-    covariance = _spread(_inverse(normal)[:2] @ Z, residual, count)
-    return Refined(d, covariance, _is_found(d, last, covariance, count))
+    covariance = spread(inverse(normal)[:2] @ Z, residual, count)
+    return Refined(d, covariance, is_found(d, last, CLOSE_ENOUGH, covariance, count))
 
 
 @batch_filter_jit
@@ -88,9 +88,7 @@ def refine_all(
     return jax.lax.map(lambda one: refine(*one), (T, known_T, S, known_S, start))
 
 
-def _equations(
-    fixed: _Smooth, moved: _Smooth, mask: Block
-) -> tuple[Float[Array, "4 4"], Float[Array, "4 cells"], Block]:
+def _equations(fixed: Smooth, moved: Smooth, mask: Block) -> tuple[Float[Array, "4 4"], Float[Array, "4 cells"], Block]:
     """(Z'X, Z, residuals) of shift, gain and offset at a shift, with the optimal gain there."""
     count = jnp.maximum(jnp.sum(mask), 1.0)
     mean_T, mean_S = (jnp.sum(mask * x) / count for x in (fixed.value, moved.value))
@@ -102,12 +100,15 @@ def _equations(
     return Z @ X.T, Z, centred_T - gain * centred_S
 
 
-def _is_found(d: Float[Array, "2"], last: Scalar, covariance: Float[Array, "2 2"], count: Scalar) -> Flag:
+def is_found(
+    d: Float[Array, "2"], last: Scalar, close_enough: float, covariance: Float[Array, "2 2"], count: Scalar
+) -> Flag:
+    """Whether a refinement has converged near its start, from enough cells."""
     is_number = jnp.all(jnp.isfinite(d)) & jnp.all(jnp.isfinite(covariance))
-    return is_number & (last <= CLOSE_ENOUGH) & jnp.all(jnp.abs(d) < FURTHEST) & (count >= FEWEST)
+    return is_number & (last <= close_enough) & jnp.all(jnp.abs(d) < FURTHEST) & (count >= FEWEST)
 
 
-def _spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) -> Float[Array, "2 2"]:
+def spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) -> Float[Array, "2 2"]:
     """Covariance of weights @ residuals, for stationary residuals with their empirical autocovariance."""
     rows, cols = residual.shape
     R = jnp.fft.fft2(residual)
@@ -116,18 +117,18 @@ def _spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) ->
     return jnp.real((Y * power[None, :]) @ jnp.conj(Y).T) / (rows * cols)
 
 
-def _inverse(normal: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+def inverse(normal: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
     """Inverse by diagonal scaling; NaN if singular."""
     size = jnp.sqrt(jnp.abs(jnp.diagonal(normal)))
     scale = 1.0 / jnp.where(size > 0.0, size, 1.0)
     return jnp.linalg.inv(normal * scale[:, None] * scale[None, :]) * scale[:, None] * scale[None, :]
 
 
-def _smooth(values: Wider, d: Float[Array, "2"]) -> _Smooth:
+def smooth(values: Wider, d: Float[Array, "2"]) -> Smooth:
     """Smoothed values and their derivatives (by row, by col) at the block's cells shifted by `d`."""
     (down, slope_down), (across, slope_across) = _gaussian(d[0]), _gaussian(d[1])
     rows = _weighted(values, down, 0)
-    return _Smooth(
+    return Smooth(
         _weighted(rows, across, 1),
         _weighted(_weighted(values, slope_down, 0), across, 1),
         _weighted(rows, slope_across, 1),
@@ -149,6 +150,7 @@ def _weighted(values: Float[Array, "r c"], weights: Weights, axis: int) -> Float
     return sum((weights[k] * part for k, part in enumerate(parts[1:], 1)), weights[0] * parts[0])
 
 
-def _all_known(known: KnownWider) -> Known:
+def all_known(known: KnownWider) -> Known:
+    """Flags of the block's cells whose smoothing kernel is known."""
     ones = jnp.ones(2 * TAPS + 1)
     return _weighted(_weighted(known.astype(float), ones, 0), ones, 1) > ones.size**2 - 0.5

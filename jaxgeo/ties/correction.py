@@ -31,18 +31,17 @@ from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
 from jaxgeo.sensor import Mount
 from jaxgeo.ties.block import Ties
+from jaxgeo.ties.excess import by_median, excess_of
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
-OUTLIER = 4.0  # standard deviations, times the scale of the residuals: larger ones are left out
+OUTLIER = 4.0  # standard deviations: larger residuals are left out
 LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
-# Lower bound of the factor of the standard deviations of image points. Residuals alone are too small: errors along
-# epipolar lines go into the heights of points, and all rays of a track share the error of its first patch.
-LEAST_SCALE = 1.0
+FIRST_EXCESS = 0.3  # px: added to the standard deviations of image points in the first robust solution
+ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
-ROUNDS = 5
-MEDIAN = 1.054  # median of the larger of two normal numbers
+ROUNDS = 6
 WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
 
 
@@ -62,17 +61,17 @@ class _Cauchy(AbstractLoss):
 class Correction:
     """Images adjusted by their tie points.
 
-    `adjustment` has the adjusted orientations with their covariances; the standard deviations of image points were
-    multiplied by `scale`, so that the residuals match them. `rms_before` and `rms_after` are RMS residuals of the same
-    measurements in px per axis: with the orientations of the navigation, and the adjusted ones. `moved` (n, 3) in m and
-    `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north, up), rotation about the
-    camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation. `left_out` measurements
-    did not fit. `unconnected` names the images that no tie points join to these.
+    `adjustment` has the adjusted orientations with their covariances; `excess` px were added in quadrature to the
+    standard deviations of image points, so that the residuals match them. `rms_before` and `rms_after` are RMS
+    residuals of the same measurements in px per axis: with the orientations of the navigation, and the adjusted ones.
+    `moved` (n, 3) in m and `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north,
+    up), rotation about the camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation.
+    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these.
     """
 
     views: Views
     adjustment: Adjustment
-    scale: float
+    excess: float
     rms_before: float
     rms_after: float
     moved: np.ndarray
@@ -141,10 +140,11 @@ def correct(
     The navigation is the prior of all images, with its covariance, and the only datum: position, orientation and scale
     of the whole come from it. Errors that images share, by the `sharing` of their sources, are unknowns of the whole.
     The largest connected part is adjusted. First with a robust loss (Cauchy), and without measurements off by more than
-    four standard deviations, scaled by the median residual; then by least squares of the rest, whose standard
-    deviations are scaled by the residuals. `unknowns` adds a self-calibration (`images` are always free), `terrain`
-    observations of the heights of the points. Points whose rays are parallel, as in images from one position, have no
-    place and are left out.
+    four standard deviations; then by least squares of the rest. If residuals exceed what the standard deviations of the
+    measurements explain, as those of lenses and terrain do, one standard deviation in px is added to all in quadrature:
+    by the median residual at first, then so that the sum of squares has its expected value, see `excess_of`.
+    `unknowns` adds a self-calibration (`images` are always free), `terrain` observations of the heights of the points.
+    Points whose rays are parallel, as in images from one position, have no place and are left out.
 
     Raises `ValueError` without tie points between any two images, for rays that are all parallel, and as
     `jaxgeo.adjust.adjust`.
@@ -166,13 +166,13 @@ def correct(
                 "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
         block = _block(views, _of_images(observations, part))
-        kept, values, scale = _robust(block, unknowns, terrain)
+        kept, values, excess = _robust(block, unknowns, terrain)
         left = block.observations.of(kept.rows)
         if set(connected(views.name, left)[0]) >= {str(name) for name in block.images.name}:
             break
         observations = left  # an image has lost its ties
-    found, scale = _final(block, unknowns, terrain, kept, values, scale)
-    return _correction(views, found, scale, given)
+    found, excess = _final(block, unknowns, terrain, kept, values, excess)
+    return _correction(views, found, excess, given)
 
 
 def _of_places(views: Views, observations: ImagePoints) -> ImagePoints:
@@ -187,20 +187,37 @@ def _of_places(views: Views, observations: ImagePoints) -> ImagePoints:
 
 
 def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None) -> tuple[Kept, Values, float]:
-    """(the measurements that fit, the robust solution, the scale of the residuals)."""
-    kept = screened_of(block, unknowns, SIGMAS).kept
-    full = prepared(block, unknowns, terrain, set_aside(block, kept))
-    values, scale = None, 1.0
+    """(the measurements that fit, the robust solution, the standard deviation in px to add to theirs)."""
+    first = kept = screened_of(block, unknowns, SIGMAS).kept
+    values, excess = None, FIRST_EXCESS
     for _ in range(ROUNDS):
-        solution = solve(masked(block, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
+        less_sure = _less_sure(block, excess)
+        full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
+        solution = solve(masked(less_sure, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
         values = solution.values
-        sizes = np.max(np.abs(np.asarray(image_residuals(full.problem, values)).T[full.order.place]), axis=1)
-        scale = max(float(np.median(sizes[kept.rows])) / MEDIAN, LEAST_SCALE)
-        before, kept = kept, Kept((sizes <= OUTLIER * scale) & _in_view(full, values), kept.control).whole(block)
-        if np.array_equal(before.rows, kept.rows) or not kept.leaves_every_image(block):
+        residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
+        largest, sigma = _largest(residuals, block.observations.sigma)
+        last, excess = excess, by_median(largest[kept.rows], sigma[kept.rows])
+        fits = largest <= OUTLIER * np.hypot(sigma, excess)
+        before, kept = kept, Kept(fits & _in_view(full, values), kept.control).whole(block)
+        is_settled = np.array_equal(before.rows, kept.rows) and abs(excess - last) <= ENOUGH * max(last, ENOUGH)
+        if is_settled or not kept.leaves_every_image(block):
             break
     assert values is not None
-    return kept, values, scale
+    return kept, values, excess
+
+
+def _less_sure(block: Block, excess: float) -> Block:
+    """The block with a standard deviation in px added to those of its image points."""
+    observed = block.observations
+    return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, excess)))
+
+
+def _largest(residuals: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The larger of the two residuals of each measurement, in standard deviations, and its standard deviation, px."""
+    axis = np.argmax(np.abs(residuals / sigma), axis=1)
+    rows = np.arange(len(axis))
+    return np.abs(residuals)[rows, axis], sigma[rows, axis]
 
 
 def _in_view(full: Prepared, values: Values) -> np.ndarray:
@@ -213,21 +230,22 @@ def _final(
     terrain: HeightObservations | None,
     kept: Kept,
     values: Values,
-    scale: float,
+    excess: float,
 ) -> tuple[Adjustment, float]:
-    """(least-squares adjustment of the kept measurements, the factor of their standard deviations)."""
-    for last in (False, True):
-        observed = replace(block.observations, sigma=block.observations.sigma * scale)
-        scaled = replace(block, observations=observed)
-        ready = masked(scaled, prepared(scaled, unknowns, terrain, set_aside(scaled, kept)), kept)
+    """(least-squares adjustment of the kept measurements, the standard deviation in px added to theirs)."""
+    for last in (False, False, True):
+        less_sure = _less_sure(block, excess)
+        ready = masked(less_sure, prepared(less_sure, unknowns, terrain, set_aside(less_sure, kept)), kept)
         solution = solve(ready.problem, _Cauchy(jnp.asarray(WIDEST)), start=values)
         values = solution.values
         if not last:
-            residuals = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
-            freedom = max(2 * len(residuals) - 6 * len(block.images) - 3 * len(ready.names.point), 1)
-            scale = max(scale * float(np.sqrt(np.sum(residuals**2) / freedom)), LEAST_SCALE)
+            off = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
+            freedom = max(2 * len(off) - 6 * len(block.images) - 3 * len(ready.names.point), 1)
+            excess = excess_of(
+                off * less_sure.observations.sigma[kept.rows], block.observations.sigma[kept.rows], freedom
+            )
     screen = Screen(kept)
-    return adjusted(block_of(scaled, kept), unknowns, ready, solution, LeastSquares(), None, screen), scale
+    return adjusted(block_of(less_sure, kept), unknowns, ready, solution, LeastSquares(), None, screen), excess
 
 
 def _of_images(observations: ImagePoints, names: list[str]) -> ImagePoints:
@@ -267,7 +285,7 @@ def _information(covariance: np.ndarray, least: float) -> np.ndarray:
     return np.linalg.inv(np.linalg.cholesky(covariance + least**2 * np.eye(3)))
 
 
-def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Correction:
+def _correction(views: Views, found: Adjustment, excess: float, given: int) -> Correction:
     rows = _rows(views, [str(name) for name in found.images.name])
     moved = found.images.centre - views.centre[rows]
     turn = np.swapaxes(views.R_frame_from_camera[rows], 1, 2) @ found.images.R_frame_from_camera
@@ -278,7 +296,7 @@ def _correction(views: Views, found: Adjustment, scale: float, given: int) -> Co
     return Correction(
         views=views,
         adjustment=found,
-        scale=scale,
+        excess=excess,
         rms_before=rms_of_rays(views, found.block.observations),
         rms_after=float(np.sqrt(np.mean(found.residuals**2))),
         moved=moved,

@@ -18,7 +18,7 @@ from jaxgeo.ties.ground import Planes
 from jaxgeo.ties.matching import Matching, PairMatches
 from jaxgeo.ties.views import Views
 
-VERSION = 1  # of what matching does with equal inputs; raise it with every change of its results
+VERSION = 2  # of what matching does with equal inputs; raise it with every change of its results
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 

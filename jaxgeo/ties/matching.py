@@ -15,6 +15,7 @@ from jaxgeo.register.refinement import TAPS
 from jaxgeo.ties.ground import Planes
 from jaxgeo.ties.patches import Patches, patches_of
 from jaxgeo.ties.pictures import Pictures
+from jaxgeo.ties.sharpening import sharpened
 from jaxgeo.ties.views import Views, project_planes
 
 WIDTHS = (4, 8, 16, 32, 64)  # cells: half widths of search areas, few to limit compilation
@@ -23,7 +24,9 @@ FINER = 4  # largest ratio of the cells of two passes
 COARSEST = 64  # largest factor of the first pass
 AGAIN = 0.5  # of a cell: standard deviation of a shift predicted by an earlier pass with such cells
 SURE = 4.1  # cells: standard deviation of shifts above which another pass follows
-LEAST_SIGMA = 0.1  # px: lower bound of a measurement's standard deviation
+# px, added in quadrature to the standard deviation of a measurement: positions of cells are interpolated to 0.01 px
+# (see `patches`), which the residuals of a match do not show.
+INTERPOLATED = 0.01
 SMALL_LEAN = 0.01  # m per m of height: below it, the epipolar direction is arbitrary
 
 
@@ -51,7 +54,7 @@ _MESSAGES = {
     TieOutcome.low_correlation: "The best correlation is below the threshold.",
     TieOutcome.not_unique: "A second place correlates nearly as well.",
     TieOutcome.off_epipolar: "The match fits no common error of the two poses within their covariances.",
-    TieOutcome.not_consistent: "Matching back from the second image leads elsewhere.",
+    TieOutcome.not_consistent: "Matching back from the second image, or most cells of the patch, lead elsewhere.",
 }
 
 
@@ -151,7 +154,8 @@ def match_pair(
     spread, is_first = _spread(geometry, covariance, how), True
     while len(geometry.rows) >= how.least:
         cell = geometry.cell * factor
-        done = _pass(views, both, pictures, geometry, shift, cell, spread / cell, covariance, how)
+        is_last = factor == 1 and bool(np.all(spread / cell <= SURE))
+        done = _pass(views, both, pictures, geometry, shift, cell, spread / cell, covariance, how, is_last)
         if is_first:
             result = result._replace(false_alarms=done.alarms)
         tied = np.flatnonzero(done.outcome == TieOutcome.tied)
@@ -160,7 +164,7 @@ def match_pair(
             result.outcome[geometry.rows] = done.outcome
             break
         result.outcome[geometry.rows] = done.outcome
-        if factor == 1 and np.all(spread / cell <= SURE):
+        if is_last:
             return _measured(views, result, geometry.of(tied), done.of(tied))
         factor, is_first = max(factor // FINER, 1), False
         kept, shift, spread = _predicted(geometry, done, covariance, factor, how)
@@ -201,8 +205,10 @@ def _pass(
     spread: np.ndarray,
     cov_error: np.ndarray,
     how: Matching,
+    is_last: bool,
 ) -> _Pass:
-    """Match all points in cells of one size, starting at shifts in m."""
+    """Match all points in cells of one size, starting at shifts in m. In the last pass, matches must lead back, and are
+    refined by the cells that did not change."""
     width = [_width(one) for one in spread]
     shape = tuple(how.size + 2 * (one + WIDTHS[0] + TAPS + 1) for one in width)
     origins = geometry.origin, geometry.origin + np.einsum("na,nax->nx", shift, geometry.axes)
@@ -217,8 +223,12 @@ def _pass(
     found, cov = chosen.of(matches.shift), chosen.of(matches.covariance)
     score = chosen.of(np.where(matches.is_candidate, matches.score, np.nan))
     outcome = _judged(matches, chosen, score, how)
-    tied = np.flatnonzero(outcome == TieOutcome.tied)
-    outcome[tied[~_agree_back(here, there, found, tied, how)]] = TieOutcome.not_consistent
+    if is_last:
+        tied = np.flatnonzero(outcome == TieOutcome.tied)
+        outcome[tied[~_agree_back(here, there, found, tied, how)]] = TieOutcome.not_consistent
+        tied = np.flatnonzero(outcome == TieOutcome.tied)
+        found[tied], cov[tied], converged = sharpened(here, there, found, tied, how.size)
+        outcome[tied[~converged]] = TieOutcome.not_consistent
     return _Pass(shift + found * cell, cov * cell**2, score, outcome, false_alarms(total, chosen), cell)
 
 
@@ -254,11 +264,11 @@ def _agree_back(here: Patches, there: Patches, found: np.ndarray, tied: np.ndarr
     """Flags of points among `tied` whose match leads back to where it came from."""
     if not len(tied):
         return np.zeros(0, bool)
-    side = 2 * (how.size // 2 + WIDTHS[0] + TAPS + 1)
-    moved = np.rint(np.nan_to_num(found))
-    back = _matched(there.cut(moved, side), here.cut(np.zeros_like(found), side), _near(len(found)), how)
-    found = found - moved
-    away = np.linalg.norm(np.asarray(back.shift)[:, 0] + found, axis=1)[tied]
+    side, found = 2 * (how.size // 2 + WIDTHS[0] + TAPS + 1), found[tied]
+    moved = np.rint(found)
+    parts = there.of(tied).cut(moved, side), here.of(tied).cut(np.zeros_like(found), side)
+    back = _matched(*parts, _near(len(found)), how)
+    away = np.linalg.norm(np.asarray(back.shift)[:, 0] + (found - moved), axis=1)
     with np.errstate(invalid="ignore"):
         return away <= how.consistency
 
@@ -371,7 +381,7 @@ def _measured(views: Views, result: PairMatches, geometry: _Geometry, done: _Pas
         if row == result.second:
             result.uv_second[rows] = found.nodes[:, 1, 1]
         of_pixel = np.einsum("nia,nab,nib->ni", found.by_plane, 0.5 * done.covariance, found.by_plane)
-        sigma[rows] = np.sqrt(np.maximum(of_pixel, LEAST_SIGMA**2))
+        sigma[rows] = np.sqrt(of_pixel + INTERPOLATED**2)
     result.score[rows] = done.score
     lost = rows[~np.all(np.isfinite(result.uv_second[rows]), axis=1)]
     result.outcome[lost] = TieOutcome.not_visible

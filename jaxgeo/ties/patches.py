@@ -24,6 +24,11 @@ class Patches(NamedTuple):
         first = rows * np.arange(len(self.grey) // rows)
         return np.stack([first + 0.5 * (rows - 1), np.full(len(first), 0.5 * (cols - 1))], axis=1)
 
+    def of(self, chosen: np.ndarray) -> Patches:
+        """Some of the patches."""
+        grey, known = (x.reshape(-1, *self.shape)[chosen].reshape(-1, self.shape[1]) for x in (self.grey, self.known))
+        return Patches(grey, known, self.shape)
+
     def cut(self, moved: np.ndarray, side: int) -> Patches:
         """Squares of `side` cells (even, as the patches are) around points `moved` (n, 2) whole cells from the
         centres; unknown beyond the patches."""

@@ -49,7 +49,11 @@ class Tracks:
             second = matches.uv_second[k], matches.sigma_second[k]
             if matches.first not in self._seen[number] and (number, matches.first) not in self._refused:
                 self._seen[number][matches.first] = first
-            self._measure(number, matches.second, *second)
+            held = self._seen[number].get(matches.first)
+            uv, sigma = second
+            if held is not None:  # what this pair is less sure of than the first one is in its second image
+                sigma = sigma * np.sqrt(1.0 + np.maximum(1.0 - (held[1] / first[1]) ** 2, 0.0))
+            self._measure(number, matches.second, uv, sigma)
 
     def _measure(self, number: int, row: int, uv: np.ndarray, sigma: np.ndarray) -> None:
         seen = self._seen[number]
