@@ -21,6 +21,7 @@ of all seeds; measurements, added standard deviation in px, and whether the fift
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import pathlib
 import sys
@@ -34,7 +35,7 @@ import scipy
 
 import jaxgeo
 from jaxgeo.adjust import ImagePoints
-from jaxgeo.ties import Matching, correct, find_ties
+from jaxgeo.ties import Matching, Ties, correct, find_ties
 
 jaxgeo.enable_x64()  # before the scenes, which have errors of the navigation
 
@@ -48,14 +49,14 @@ SHARE = 0.3  # of wrong measurements
 
 def here_of(scene: str, seed: int) -> Strip:
     """The strip with its images of a scene."""
-    here = strip(seed=seed)
-    if scene in ("plain", "wrong"):
-        return misleading_scenes.shown(here, lambda here, seed: misleading_scenes.seen(here, _texture(seed)), seed)
-    return misleading_scenes.shown(here, getattr(misleading_scenes, scene), seed)
+    return misleading_scenes.shown(strip(seed=seed), getattr(misleading_scenes, scene), seed)
 
 
-def _texture(seed: int) -> np.ndarray:
-    return misleading_scenes.texture(100 * seed)
+@functools.cache
+def tied(scene: str, seed: int) -> tuple[Strip, Ties]:
+    """The strip and its tie points."""
+    here = here_of(scene, seed)
+    return here, find_ties(here.views, ground(1.0), here.pictures, Matching(sigma_height=2.0), points=48)
 
 
 def with_wrong(observed: ImagePoints, rng: np.random.Generator) -> ImagePoints:
@@ -67,8 +68,7 @@ def with_wrong(observed: ImagePoints, rng: np.random.Generator) -> ImagePoints:
 
 def outcome(scene: str, seed: int) -> dict[str, Any]:
     """Figures of one seed."""
-    here = here_of(scene, seed)
-    ties = find_ties(here.views, ground(1.0), here.pictures, Matching(sigma_height=2.0), points=48)
+    here, ties = tied("plain" if scene == "wrong" else scene, seed)
     if ties.observations is None:
         return {"tied": False}
     observed = ties.observations

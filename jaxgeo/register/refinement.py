@@ -117,7 +117,7 @@ def spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) -> 
     return jnp.real((Y * power[None, :]) @ jnp.conj(Y).T) / (rows * cols)
 
 
-def inverse(normal: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+def inverse(normal: Float[Array, "m m"]) -> Float[Array, "m m"]:
     """Inverse by diagonal scaling; NaN if singular."""
     size = jnp.sqrt(jnp.abs(jnp.diagonal(normal)))
     scale = 1.0 / jnp.where(size > 0.0, size, 1.0)

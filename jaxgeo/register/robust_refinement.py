@@ -26,7 +26,11 @@ from jaxgeo.register.refinement import (
 
 STEPS = 24
 CLOSE_ENOUGH = 1e-3  # cells: longest last step
-CUT = 3.0  # robust standard deviations of the residuals: cells that differ by as much have a quarter of the weight
+ASIDE = 0.7  # cells: distance of other starts along rows and columns
+CUT = 3.5  # robust standard deviations: cells near larger residuals (RMS of 3 x 3 cells) have no weight
+NEAR = 5  # cells: side of the square of cells that are near one
+LEAST_SHARE = 0.3  # of the known cells: fewer with any weight do not decide on a shift
+LARGEST_STRAIN = 0.5  # cells at the rim of a block: standard deviation of its deformation
 LEAST_SCALE = 1e-3  # standard deviations of the grey values: lower bound of that of the residuals
 MEDIAN = 0.6745  # of the absolute value of a normal number
 
@@ -34,12 +38,16 @@ _State: TypeAlias = tuple[Float[Array, "2"], Block, Scalar, Index]  # the shift,
 
 
 def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: Float[Array, "2"]) -> Refined:
-    """The shift d with T(p) = gain S(p + d) + offset for most cells p of a block, as `refine` has it for all.
+    """The shift d with T(p) = gain S(p + d + A p) + offset for most cells p of a block, p from its centre.
 
-    Cells whose residuals exceed those of the others are weighted down: (1 + (r / (`CUT` s))^2)^-2, after Geman and
-    McClure (1987), with s from the median residual. An area that is lit in one image and in shadow in the other then
-    has no influence on the shift of the texture under it, whereas by least squares the edge of the shadow draws all
-    blocks on it the same way.
+    The small deformation A, of first order, is what orientations and planes of the ground that err leave between two
+    patches; left in, it draws the shift to where the block has most texture.
+
+    Cells near residuals that exceed those of most cells have less weight, or none (Tukey's biweight of the mean square
+    of neighbouring residuals). An area that is lit in one image and in shadow in the other then has no influence on the
+    shift of the texture under it, whereas by least squares the edge of the shadow draws all blocks on it the same way.
+    Of `start` and eight places around it, the one with the least median residual is the first (Rousseeuw 1984). Not
+    found if fewer than `LEAST_SHARE` of the cells have weight.
     """
     known = all_known(known_T) & all_known(known_S)
     mask = known.astype(float)
@@ -52,18 +60,22 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
 
     def step(state: _State) -> _State:
         d, weight, _, steps = state
-        normal, Z, residual = _equations(fixed, smooth(S, d), weight)
-        change = (inverse(normal) @ (Z @ residual.reshape(-1)))[:2]
+        change, _, residual = _solved(fixed, smooth(S, d), weight, mask)
         new = jnp.clip(d + jnp.clip(change, -0.5, 0.5), -FURTHEST, FURTHEST)
         return new, _weights(residual, mask), jnp.max(jnp.abs(new - d)), steps + 1
 
-    first = _weights(_equations(fixed, smooth(S, start), mask)[2], mask)
+    steps = ASIDE * jnp.stack(jnp.meshgrid(*2 * [jnp.array([0.0, -1.0, 1.0])], indexing="ij"), axis=-1).reshape(-1, 2)
+    starts = jnp.clip(start + steps, -FURTHEST, FURTHEST)
+    scales = jax.lax.map(lambda d: _scale(_solved(fixed, smooth(S, d), mask, mask)[2], mask), starts)
+    start = starts[jnp.argmin(scales)]
+    first = _weights(_solved(fixed, smooth(S, start), mask, mask)[2], mask)
     d, weight, last, _ = jax.lax.while_loop(goes_on, step, (start, first, jnp.asarray(jnp.inf), jnp.asarray(0)))
-    normal, Z, residual = _equations(fixed, smooth(S, d), weight)
+    _, by_residual, residual = _solved(fixed, smooth(S, d), weight, mask)
     root, count = jnp.sqrt(weight), jnp.sum(weight)
-    by_residual = (inverse(normal)[:2] @ Z) / jnp.where(root > 0.0, root, 1.0).reshape(-1)
+    by_residual = by_residual / jnp.where(root > 0.0, root, 1.0).reshape(-1)
     covariance = spread(by_residual, root * residual, count)
-    return Refined(d, covariance, is_found(d, last, CLOSE_ENOUGH, covariance, count))
+    enough = jnp.sum(weight > 0.0) >= LEAST_SHARE * jnp.sum(mask)
+    return Refined(d, covariance, enough & is_found(d, last, CLOSE_ENOUGH, covariance, count))
 
 
 @batch_filter_jit
@@ -78,21 +90,38 @@ def refine_all_robustly(
     return jax.lax.map(lambda one: refine_robustly(*one), (T, known_T, S, known_S, start))
 
 
-def _weights(residual: Block, mask: Block) -> Block:
+def _scale(residual: Block, mask: Block) -> Scalar:
+    """Standard deviation of most residuals."""
     some = jnp.where(mask > 0.0, jnp.abs(residual), jnp.nan)[::2, ::2]  # neighbours are smoothed alike
-    scale = jnp.maximum(jnp.nan_to_num(jnp.nanmedian(some)) / MEDIAN, LEAST_SCALE)
-    return mask / (1.0 + (residual / (CUT * scale)) ** 2) ** 2
+    return jnp.maximum(jnp.nan_to_num(jnp.nanmedian(some), nan=jnp.inf) / MEDIAN, LEAST_SCALE)
 
 
-def _equations(
-    fixed: Smooth, moved: Smooth, weight: Block
-) -> tuple[Float[Array, "4 4"], Float[Array, "4 cells"], Block]:
-    """(Z'WX, Z'W, residuals) of shift, gain and offset at a shift, with the optimal weighted gain there."""
+def _weights(residual: Block, mask: Block) -> Block:
+    squares = jax.lax.reduce_window(mask * residual**2, 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
+    near = jax.lax.reduce_window(squares, 0.0, jax.lax.max, (NEAR, NEAR), (1, 1), "SAME")
+    return mask * jnp.maximum(1.0 - near / (CUT * _scale(residual, mask)) ** 2, 0.0) ** 2
+
+
+def _solved(
+    fixed: Smooth, moved: Smooth, weight: Block, mask: Block
+) -> tuple[Float[Array, "2"], Float[Array, "2 cells"], Block]:
+    """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain)."""
     count = jnp.maximum(jnp.sum(weight), 1e-6)
     mean_T, mean_S = (jnp.sum(weight * x) / count for x in (fixed.value, moved.value))
     centred_T, centred_S = fixed.value - mean_T, moved.value - mean_S
     power = jnp.sum(weight * centred_S**2)
     gain = jnp.sum(weight * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
-    Z = jnp.stack([fixed.down, fixed.across, centred_S, jnp.ones_like(centred_S)]) * weight
-    X = jnp.stack([gain * moved.down, gain * moved.across, centred_S, jnp.ones_like(centred_S)])
-    return Z.reshape(4, -1) @ X.reshape(4, -1).T, Z.reshape(4, -1), centred_T - gain * centred_S
+    rows, cols = jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, side) for side in weight.shape), indexing="ij")
+
+    def columns(seen: Smooth, times: Scalar | float) -> Float[Array, "8 cells"]:
+        slopes = [times * seen.down, times * seen.across]
+        strained = [slope * place for slope in slopes for place in (rows, cols)]
+        return jnp.stack([*slopes, *strained, centred_S, jnp.ones_like(centred_S)]).reshape(8, -1)
+
+    Z, X, residual = columns(fixed, 1.0) * weight.reshape(-1), columns(moved, gain), centred_T - gain * centred_S
+    prior = (_scale(residual, mask) / LARGEST_STRAIN) ** 2
+    inverted = inverse(Z @ X.T + jnp.diag(jnp.zeros(8).at[2:6].set(prior)))
+    by_residual = inverted @ Z
+    found = by_residual @ residual.reshape(-1)
+    residual = residual - (found[2:6] @ X[2:6]).reshape(residual.shape)
+    return found[:2], by_residual[:2], residual

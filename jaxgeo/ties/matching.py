@@ -26,7 +26,7 @@ AGAIN = 0.5  # of a cell: standard deviation of a shift predicted by an earlier 
 SURE = 4.1  # cells: standard deviation of shifts above which another pass follows
 # px, added in quadrature to the standard deviation of a measurement: positions of cells are interpolated to 0.01 px
 # (see `patches`), which the residuals of a match do not show.
-INTERPOLATED = 0.01
+INTERPOLATED = 0.003
 SMALL_LEAN = 0.01  # m per m of height: below it, the epipolar direction is arbitrary
 
 

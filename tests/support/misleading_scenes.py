@@ -34,6 +34,11 @@ def texture(seed: int) -> np.ndarray:
     return 100.0 + 30.0 * sum(one / np.std(one) for one in noise)
 
 
+def plain(here: Strip, seed: int = 0) -> list[np.ndarray]:
+    """Random texture alone."""
+    return seen(here, texture(100 * seed))
+
+
 def periodic(here: Strip, seed: int = 0) -> list[np.ndarray]:
     """Only a lattice that repeats every `PERIOD`."""
     turn = 0.3 * seed
