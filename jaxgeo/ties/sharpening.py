@@ -12,7 +12,7 @@ from jaxgeo.register.robust_refinement import refine_all_robustly
 from jaxgeo.ties.patches import Patches
 
 BATCH = 8  # points per call: one size, so that other counts need no compilation
-# Of the distance between the shifts by all cells and by most: what changed has about that much influence left, as
+# Of the distance between the shifts by all cells and by most: what changed has at most that much influence left, as
 # measured on moving shadows (benchmarks/tie_scenes.py).
 LEFT = 0.15
 AWAY = 1.5  # cells: shifts by all cells and by most that lie further apart are of different places
