@@ -65,14 +65,14 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
         return new, _weights(residual, mask), jnp.max(jnp.abs(new - d)), steps + 1
 
     steps = ASIDE * jnp.stack(jnp.meshgrid(*2 * [jnp.array([0.0, -1.0, 1.0])], indexing="ij"), axis=-1).reshape(-1, 2)
-    starts = jnp.clip(start + steps, -FURTHEST, FURTHEST)
+    starts = jnp.clip(start[None] + steps, -FURTHEST, FURTHEST)
     scales = jax.lax.map(lambda d: _scale(_solved(fixed, smooth(S, d), mask, mask)[2], mask), starts)
     start = starts[jnp.argmin(scales)]
     first = _weights(_solved(fixed, smooth(S, start), mask, mask)[2], mask)
     d, weight, last, _ = jax.lax.while_loop(goes_on, step, (start, first, jnp.asarray(jnp.inf), jnp.asarray(0)))
     _, by_residual, residual = _solved(fixed, smooth(S, d), weight, mask)
     root, count = jnp.sqrt(weight), jnp.sum(weight)
-    by_residual = by_residual / jnp.where(root > 0.0, root, 1.0).reshape(-1)
+    by_residual = by_residual / jnp.where(root > 0.0, root, 1.0).reshape(1, -1)
     covariance = spread(by_residual, root * residual, count)
     enough = jnp.sum(weight > 0.0) >= LEAST_SHARE * jnp.sum(mask)
     return Refined(d, covariance, enough & is_found(d, last, CLOSE_ENOUGH, covariance, count))
@@ -118,7 +118,7 @@ def _solved(
         strained = [slope * place for slope in slopes for place in (rows, cols)]
         return jnp.stack([*slopes, *strained, centred_S, jnp.ones_like(centred_S)]).reshape(8, -1)
 
-    Z, X, residual = columns(fixed, 1.0) * weight.reshape(-1), columns(moved, gain), centred_T - gain * centred_S
+    Z, X, residual = columns(fixed, 1.0) * weight.reshape(1, -1), columns(moved, gain), centred_T - gain * centred_S
     prior = (_scale(residual, mask) / LARGEST_STRAIN) ** 2
     inverted = inverse(Z @ X.T + jnp.diag(jnp.zeros(8).at[2:6].set(prior)))
     by_residual = inverted @ Z
