@@ -27,6 +27,8 @@ def sharpened(
     everywhere, as shadows do, shifts these alike, so that neither residuals of an adjustment nor agreement of a pair
     show it. See `refine_robustly`.
     """
+    if not len(points):
+        return np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, bool)
     side = size + 2 * TAPS
     start = shift[points]
     moved = np.rint(start)
