@@ -31,7 +31,7 @@ def texture(seed: int) -> np.ndarray:
     """A random map of mean 100 and standard deviation 50."""
     rng = np.random.default_rng(seed)
     noise = [scipy.ndimage.gaussian_filter(rng.normal(size=SHAPE), width) for width in (1.0, 2.5, 6.0)]
-    return 100.0 + 30.0 * sum(one / np.std(one) for one in noise)
+    return 100.0 + 30.0 * np.sum([one / np.std(one) for one in noise], axis=0)
 
 
 def plain(here: Strip, seed: int = 0) -> list[np.ndarray]:
