@@ -200,7 +200,7 @@ lower = jaxgeo._compile.quick_filter_jit(factor)(jax.numpy.array([[4.0, 2.0], [2
 numbers = [*fix.ecef, *lower.ravel()]
 print(json.dumps([[float(x).hex() for x in numbers], [str(name) for name in traced]]))
 """
-NAMES = ("_locate", "factor")
+NAMES = ("_line_of_sight", "met_by", "factor")
 
 
 def fix_of_a_process(folder: pathlib.Path) -> tuple[list[str], list[str]]:
