@@ -9,7 +9,9 @@ Four rendered images of a strip 150 m above ground (256 x 192 px of 0.6 m, with 
 - water: half of the ground has another texture in each image;
 - shadows: a fifth of the ground is dark, and the dark patches move by 2 m north to south and west to east from image to
   image;
-- wrong: random texture, and 30 % of the measurements moved to random pixels after matching;
+- wrong: random texture, and 30 % of the measurements moved after matching to random places within 12 px, which is what
+  the search covers along rows and columns;
+- anywhere: the same, moved to random pixels of the whole image;
 - plain: random texture alone.
 
 Texture, noise and navigation are drawn anew for each seed. Reported: seeds in which anything is tied; of these, the
@@ -42,9 +44,11 @@ jaxgeo.enable_x64()  # before the scenes, which have errors of the navigation
 from support import misleading_scenes  # noqa: E402
 from support.drone_strip import Strip, ground, strip  # noqa: E402
 
-SCENES = ("plain", "wrong", "periodic", "rows_of_trees", "water", "shadows")
+SCENES = ("plain", "wrong", "anywhere", "periodic", "rows_of_trees", "water", "shadows")
 CERTAIN = 0.999
 SHARE = 0.3  # of wrong measurements
+SEARCHED = 12.0  # px
+WRONG = ("wrong", "anywhere")
 
 
 def here_of(scene: str, seed: int) -> Strip:
@@ -59,21 +63,24 @@ def tied(scene: str, seed: int) -> tuple[Strip, Ties]:
     return here, find_ties(here.views, ground(1.0), here.pictures, Matching(sigma_height=2.0), points=48)
 
 
-def with_wrong(observed: ImagePoints, rng: np.random.Generator) -> ImagePoints:
-    """A share of the measurements at random pixels."""
-    wrong = rng.random(len(observed)) < SHARE
-    uv = np.where(wrong[:, None], rng.uniform([0.0, 0.0], [255.0, 191.0], (len(observed), 2)), observed.uv)
-    return ImagePoints(observed.image, observed.point, uv, observed.sigma)
+def with_wrong(observed: ImagePoints, scene: str, rng: np.random.Generator) -> ImagePoints:
+    """A share of the measurements at random places of the search area, or anywhere in the image."""
+    wrong, shape = rng.random(len(observed)) < SHARE, (len(observed), 2)
+    if scene == "anywhere":
+        other = rng.uniform([0.0, 0.0], [255.0, 191.0], shape)
+    else:
+        other = observed.uv + rng.uniform(-SEARCHED, SEARCHED, shape)
+    return ImagePoints(observed.image, observed.point, np.where(wrong[:, None], other, observed.uv), observed.sigma)
 
 
 def outcome(scene: str, seed: int) -> dict[str, Any]:
     """Figures of one seed."""
-    here, ties = tied("plain" if scene == "wrong" else scene, seed)
+    here, ties = tied("plain" if scene in WRONG else scene, seed)
     if ties.observations is None:
         return {"tied": False}
     observed = ties.observations
-    if scene == "wrong":
-        observed = with_wrong(observed, np.random.default_rng(seed))
+    if scene in WRONG:
+        observed = with_wrong(observed, scene, np.random.default_rng(seed))
     found = correct(here.views, observed)
     each, joint = misleading_scenes.squared_errors(here, found)
     count = 6 * len(found.names)

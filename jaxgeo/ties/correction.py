@@ -37,11 +37,13 @@ from jaxgeo.ties.views import Views
 
 OUTLIER = 4.0  # standard deviations: larger residuals are left out
 LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
-FIRST_EXCESS = 0.3  # px: added to the standard deviations of image points in the first robust solution
+# px: added to the standard deviations of image points in the first robust solution, which starts from the navigation,
+# several px off; with less, right measurements are left out there for wrong ones.
+FIRST_EXCESS = 1.0
 ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
-ROUNDS = 6
+ROUNDS = 10
 WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
 
 
