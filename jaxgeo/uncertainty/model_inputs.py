@@ -13,10 +13,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._arguments import check_terrain, checked_air, checked_observation
-from jaxgeo._checks import as_float64
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
-from jaxgeo._locate import located_anywhere
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, PixelField, Scalar, StatusCode, Vector3
@@ -173,7 +171,7 @@ class ModelInputs(Record):
 
     def ground(self, search: AbstractSearch) -> Fix:
         """The fix; the pixel may lie outside the image."""
-        return self._located(search)[0]
+        return met_by(*self.sightline(), self.terrain, search, self.air)[0]
 
     def nominal_fix(self, search: AbstractSearch) -> NominalFix:
         """Nominal fix of the observation, without derivatives."""
@@ -222,10 +220,6 @@ class ModelInputs(Record):
         name = "pose" if isinstance(self.motion, Shot) else "poses"
         where = lambda inputs: getattr(inputs.motion, name)  # noqa: E731
         return eqx.tree_at(where, self, pose)
-
-    def _located(self, search: AbstractSearch) -> tuple[Fix, Any]:
-        time = jnp.asarray(as_float64(self.time, "time"))
-        return located_anywhere(self.sensor, self.motion, time, self.uv, self.terrain, search, self.air)
 
     def ray(self) -> Ray:
         """The straight line of sight, or a substitute ray if it is not finite."""
