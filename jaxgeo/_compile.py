@@ -130,6 +130,16 @@ def one_program(function: T) -> T:
     return call  # pyright: ignore
 
 
+def maps_in_blocks(many: Any) -> bool:
+    """Whether a `vmap` of a `quick_jit`, called directly over these arrays, uses one program for every number of items.
+
+    Not with large arrays for each item, and not on accelerators: there one program of all that is computed is better.
+    """
+    leaves = jax.tree.leaves(many)
+    is_small = all(np.size(leaf) <= MOST_NUMBERS * np.shape(leaf)[0] for leaf in leaves)
+    return is_small and platform_of() == "cpu" and bool(batch_options()) and not is_debugging()
+
+
 def is_direct() -> bool:
     """Whether a call is by itself, not part of a program, of a `vmap` or of derivatives: then nothing is traced."""
     return trace_state_clean()

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import MOST_ROWS, long_run_filter_jit, maps_in_blocks
 from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
@@ -124,15 +124,24 @@ def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain, *, size: i
     if size == 1:
         yield jax.tree.map(lambda leaf: np.asarray(leaf)[None], locate(batch.at(0)[0], terrain_at(terrain, 0)))
         return
+    own = [leaf for axis, leaf in zip(*map(_leaves, (batch.in_axes, batch.observation)), strict=True) if axis == 0]
+    located = _located if total <= MOST_ROWS and maps_in_blocks(own) else _located_long
     for start in range(0, total, size):
         index = np.minimum(np.arange(start, start + size), total - 1)
-        fixes = _located_many(batch.at(index)[0], terrain_at(terrain, index), batch.is_one_camera, axis_of(terrain))
+        fixes = located(batch.at(index)[0], terrain_at(terrain, index), batch.is_one_camera, axis_of(terrain))
         yield jax.tree.map(lambda leaf, last=total - start: np.asarray(leaf)[:last], fixes)
 
 
-@long_run_filter_jit
-def _located_many(observation: Observation, terrain: AbstractTerrain, is_one_camera: bool, axis: int | None) -> Fix:
+def _located(observation: Observation, terrain: AbstractTerrain, is_one_camera: bool, axis: int | None) -> Fix:
+    """Fixes of a part, by the programs of every `vmap` of `locate`."""
     return jax.vmap(locate, in_axes=(axes_of(observation, is_one_camera), axis))(observation, terrain)
+
+
+_located_long = long_run_filter_jit(_located)  # a program of its own, which is quicker to run
+
+
+def _leaves(tree: Any) -> list[Any]:
+    return jax.tree.leaves(tree, is_leaf=lambda leaf: leaf is None)
 
 
 def _pairs(observed: Observations, terrain: Terrain) -> Iterator[tuple[ObservationBatch, AbstractTerrain]]:

@@ -23,6 +23,7 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.accuracy_record import Accuracy, OldNames, batch_of, summary
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, on_host, scatter, take
+from jaxgeo.uncertainty.linear_accuracy import linear_radii_of_many
 from jaxgeo.uncertainty.map_cells import (
     Cell,
     MapContext,
@@ -32,7 +33,7 @@ from jaxgeo.uncertainty.map_cells import (
     cell_centres,
     check_block,
     check_level,
-    linear_radii_of_block,
+    fixes_of_cells,
     locate_cells,
     project_cells,
     select,
@@ -183,8 +184,9 @@ def accuracy_of_cells(
     cells, count, progress = on_host(cells), len(cells.uv), request.sampling.progress
     status: Any = np.array(cells.status)
     index, some = select(cells, status == Status.hit)
-    parts = blocks_of(some, block_size(len(some.uv), request.block), "intersecting rays", progress)
-    located = [locate_cells(part, context, request.search) for part in parts]
+    met: Any = some, fixes_of_cells(some, context, request.search, progress)
+    parts = blocks_of(met, block_size(len(some.uv), request.block), "checking fixes", progress)
+    located = [locate_cells(part, found, context, request.search) for part, found in parts]
     fixes: Any = concatenate(located, index.size)
     nominals, status[index], has_fix = fixes
     own = np.asarray(status[index] != Status.hidden_by_terrain)
@@ -193,8 +195,9 @@ def accuracy_of_cells(
     within, seen = select((some, nominals), has_fix) if index.size else (index, (some, located[0][0]))
     size = block_size(len(seen[0].uv), request.block)
     blocks = blocks_of(seen, size, "estimating accuracy", progress)
-    assessed = [_assess(some, nominals, context, model, request) for some, nominals in blocks]
-    found, radii = concatenate(assessed, within.size)
+    assessed = [assess_cells(some, nominals, context, model, request.probability) for some, nominals in blocks]
+    found = concatenate(assessed, within.size)
+    radii = linear_radii_of_many(found, request.probability)
 
     def observation_at(number: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
         cell, nominal = take(seen, number)
@@ -205,14 +208,6 @@ def accuracy_of_cells(
     found, columns = scatter((found, columns), index[within], count)
     linear = (found.method, found.cov_enu, found.bias_enu, found.diagnostics)
     return batch_of(fix, probability, columns, *linear, int(sampling.count or 0), shape, model.left_out)
-
-
-def _assess(
-    cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel, request: Request
-) -> tuple[Any, Any]:
-    """(linear accuracy of a block of cells, its radii)."""
-    one = assess_cells(cells, nominals, context, model, request.probability)
-    return one, linear_radii_of_block(one, request.probability)
 
 
 def check_context(

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import one_program
+from jaxgeo._accelerator import by_device
+from jaxgeo._compile import batch_filter_jit, one_program
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import Index, IndexField, Indices, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
+from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate
 from jaxgeo.uncertainty.method_selection import (
     AGREEMENT,
     AGREEMENT_UP,
@@ -30,6 +33,7 @@ from jaxgeo.uncertainty.profile import Profile
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 from jaxgeo.uncertainty.sight_plane import along_of
 
+FEW, MANY, MANY_ACCELERATOR = 16, 128, 1024  # fixes whose radii are computed at a time
 STEPS = 0.002  # of the logarithm: figures over the profile of a plane are off by less, for its steps
 
 
@@ -82,6 +86,20 @@ def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Num
         spherical_radius(cov, probability, bias),
     )
     return _valid_over_profile(one.method, radii, one.factors)
+
+
+_linear_radii = batch_filter_jit(linear_radii)
+
+
+def linear_radii_of_many(many: LinearAccuracy, probability: Scalar) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`linear_radii` of n fixes as NumPy arrays, by a program of one of two sizes: it takes long to compile."""
+    count, given = len(many.method), many._replace(diagnostics=None)
+    if not count:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    size = FEW if count <= FEW else by_device(MANY, MANY_ACCELERATOR)
+    parts = blocks_of(given, size, "computing radii", progress=False)
+    each: Any = [_linear_radii(part, probability) for part in parts]
+    return concatenate(each, count)
 
 
 @one_program

@@ -10,17 +10,25 @@ import numpy as np
 
 from jaxgeo._accelerator import by_device
 from jaxgeo._checks import as_array, as_float64, is_known
-from jaxgeo._compile import batch_filter_jit, quick_filter_jit
+from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
+from jaxgeo.fix import Fix
+from jaxgeo.sensor import Shot
 from jaxgeo.status import have_fix
-from jaxgeo.terrain import AbstractSearch
+from jaxgeo.terrain import AbstractSearch, Bracket
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
-from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
+from jaxgeo.uncertainty.linear_accuracy import (
+    LinearAccuracy,
+    assess_fix,
+    linear_radii,
+    linear_radii_of_many,
+    select_linear,
+)
 from jaxgeo.uncertainty.map_cells import Request, block_size
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, located_apart, nominal_fix_of, of_arrays
 from jaxgeo.uncertainty.sampled import sample_where_needed
 
 AT_ONCE = 16  # exposures of a block on a CPU, at most: more are not faster, and one size is compiled
@@ -58,14 +66,17 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     options = (batch.shared, batch.axes, request.search, request.probability)
     note = batch.given[NAMES.index("errors")].left_out
     if not is_known(batch.given):
-        return _of_traced(*_assess_block(batch.lanes, *options), request.probability, note)
+        nominals, found = _assess_block(batch.lanes, None, *options)
+        return _of_traced(nominals, found, linear_radii(found, request.probability), request.probability, note)
     if number == 1:
-        assessed: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
+        one: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
+        nominals, found, radii = one
     else:
         size = min(request.block, by_device(AT_ONCE, block_size(number, request.block)))
-        parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
-        assessed = concatenate([_assess_block(part, *options) for part in parts], number)
-    nominals, found, radii = assessed
+        lanes: Any = batch.lanes, _located(batch, number, request)
+        parts = blocks_of(lanes, size, "estimating accuracy", request.sampling.progress)
+        nominals, found = concatenate([_assess_block(own, met, *options) for own, met in parts], number)
+        radii = linear_radii_of_many(found, request.probability)
 
     def observation_at(index: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
         inputs, model = inputs_of(batch.at(index))
@@ -149,17 +160,39 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
 _select_linear = quick_filter_jit(select_linear)
 
 
+def _located(batch: Batch, number: int, request: Request) -> tuple[Fix, Bracket] | None:
+    """Fixes of n exposures and where the search found the ground, by the programs of every `vmap` of `locate`.
+
+    None where the fixes are better found by the program of the accuracy, as with a terrain for each.
+    """
+    if not isinstance(batch.given[NAMES.index("shot")], Shot) or not maps_in_blocks(batch.lanes):
+        return None
+
+    def one(own: tuple[Any, ...]) -> tuple[Fix, Bracket]:
+        inputs, _ = inputs_of(_merge(own, batch.shared, batch.axes))
+        return located_apart(inputs, inputs.uv, request.search)
+
+    parts = blocks_of(batch.lanes, min(number, ROWS), "intersecting rays", request.sampling.progress)
+    return concatenate([jax.vmap(one)(part) for part in parts], number)
+
+
 @batch_filter_jit
 def _assess_block(
-    lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
-) -> Assessed:
-    def one(own: tuple[Any, ...]) -> tuple[NominalFix, LinearAccuracy]:
+    lanes: tuple[Any, ...],
+    located: tuple[Fix, Bracket] | None,
+    shared: tuple[Any, ...],
+    axes: Axes,
+    search: AbstractSearch,
+    probability: Scalar,
+) -> tuple[NominalFix, LinearAccuracy]:
+    """Nominal fixes and their accuracy; of those that are `located` already, without a search."""
+
+    def one(own: tuple[Any, ...], met: tuple[Fix, Bracket] | None) -> tuple[NominalFix, LinearAccuracy]:
         inputs, model = inputs_of(_merge(own, shared, axes))
-        nominal = inputs.nominal_fix(search)
+        nominal = inputs.nominal_fix(search) if met is None else nominal_fix_of(inputs, *met)
         return nominal, assess_fix(inputs, nominal, model, probability)
 
-    nominals, found = jax.vmap(one)(lanes)
-    return nominals, found, linear_radii(found, probability)
+    return jax.vmap(one)(lanes, located)
 
 
 def _of_traced(

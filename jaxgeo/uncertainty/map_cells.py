@@ -12,25 +12,25 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxgeo._accelerator import by_device
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks
 from jaxgeo._locate import project
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
+from jaxgeo.fix import Fix
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory, point_shot
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
-from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, Dem
+from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate
+from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, located_apart, nominal_fix_of
 from jaxgeo.uncertainty.sampling import Sampling
 
 BLOCK = 128  # fixes evaluated at once: about 100 MB
 BLOCK_ACCELERATOR = 1024  # the same on an accelerator: 0.5 GB
 SAME_GROUND = 0.1  # m: largest distance between a cell and the fix of its pixel
-
-linear_radii_of_block = batch_filter_jit(linear_radii)
 
 
 class MapContext(NamedTuple):
@@ -95,14 +95,32 @@ def cells_of_pixels(uv: Float[Array, "cells 2"], sensor: Sensor) -> Cell:
     return Cell(uv, jax.vmap(sensor.camera.ray)(uv)[1])
 
 
+def fixes_of_cells(cells: Cell, context: MapContext, search: AbstractSearch, progress: bool) -> Any:
+    """Fixes of the cells' pixels and where the search found the ground, by the programs of every `vmap` of `locate`.
+
+    None where one program finds them better together with the rest.
+    """
+    if isinstance(context.motion, Trajectory) or not maps_in_blocks(cells):
+        return None
+
+    def one(cell: Cell) -> tuple[Fix, Bracket]:
+        inputs = context.inputs(cell)
+        return located_apart(inputs, inputs.uv, search)
+
+    count = len(cells.uv)
+    parts = blocks_of(cells, min(count, ROWS), "intersecting rays", progress)
+    return concatenate([jax.vmap(one)(part) for part in parts], count)
+
+
 @batch_filter_jit
 def locate_cells(
-    cells: Cell, context: MapContext, search: AbstractSearch
+    cells: Cell, met: tuple[Fix, Bracket] | None, context: MapContext, search: AbstractSearch
 ) -> tuple[NominalFix, Int8[Array, " cells"], Bool[Array, " cells"]]:
-    """Nominal fixes of the cells' pixels, the status of each cell, and whether it has a fix."""
+    """Nominal fixes of the cells' pixels, the status of each cell, and whether it has a fix; `met` if already found."""
 
-    def one(cell: Cell) -> tuple[NominalFix, StatusCode, Flag]:
-        nominal = context.inputs(cell).nominal_fix(search)
+    def one(cell: Cell, met: tuple[Fix, Bracket] | None) -> tuple[NominalFix, StatusCode, Flag]:
+        inputs = context.inputs(cell)
+        nominal = inputs.nominal_fix(search) if met is None else nominal_fix_of(inputs, *met)
         status = jnp.asarray(nominal.fix.status)
         if cell.ground is not None:
             off = safe_norm(jnp.where(nominal.fix.found, nominal.fix.ecef - WGS84.to_ecef(cell.ground), 0.0))
@@ -111,7 +129,7 @@ def locate_cells(
         status = first_failure(cell.status, status)
         return nominal, status, counts_as_fix(status)
 
-    return jax.vmap(one)(cells)
+    return jax.vmap(one)(cells, met)
 
 
 @batch_filter_jit

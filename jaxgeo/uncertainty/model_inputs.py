@@ -234,8 +234,12 @@ def located_each(inputs: ModelInputs, uv: Any, search: AbstractSearch = FIRST_HI
 
     Called directly, by the programs that `locate` uses under a `jax.vmap`, since a search takes long to compile.
     """
-    ray, status = jax.vmap(_sightline_of, in_axes=(None, 0))(inputs, uv)
-    return jax.vmap(met_apart, in_axes=(0, 0, None, None, None))(ray, status, inputs.terrain, search, inputs.air)
+    return jax.vmap(located_apart, in_axes=(None, 0, None))(inputs, uv, search)
+
+
+def located_apart(inputs: ModelInputs, uv: Any, search: AbstractSearch) -> tuple[Fix, Bracket]:
+    """The fix of a pixel, which may lie outside the image, and where the search found the ground, by programs apart."""
+    return met_apart(*_sightline_of(inputs, uv), inputs.terrain, search, inputs.air)
 
 
 @quick_jit
