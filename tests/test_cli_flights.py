@@ -17,6 +17,7 @@ from tests.io.test_flight_log_programs import litchi
 
 SCALE = 400.0 * 2.41e-6 / 8.8e-3  # m of ground at 500 m in a pixel, seen from 900 m
 CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
+NO_GROUND = "give the ground: either --dem FILE, or --ground HEIGHT"
 SECONDS = ("31.000", "32.000", "33.500")
 
 
@@ -103,13 +104,23 @@ def test_overlap_on_level_ground_is_by_the_length_of_the_image(tmp_path: pathlib
     assert result.exit_code == 0, result.output
     for pair in json.loads(result.stdout)["pairs"]:
         assert pair["near"] == pytest.approx(1.0 - away / (3648 * SCALE), abs=1e-4)
+    refused = CliRunner().invoke(app, ["overlap", *line[:-2]])
+    assert refused.exit_code == 2
+    assert NO_GROUND in refused.stderr
+
+
+@pytest.mark.slow
+def test_exposures_on_level_ground_are_planned_by_the_length_of_the_image(tmp_path: pathlib.Path) -> None:
+    """Straight down over level ground, each image of a plan is as much of its length farther as it shares less."""
+    even = str(log(tmp_path, ("31.000", "32.000", "33.000"), (0, 0, 0)))
+    line = [even, "--takeoff-height", "600", "--camera", CAMERA, "--ground", "500"]
+    away = 1e-4 * 111_000.0  # m/s, within 0.1 %
     output = tmp_path / "plan.csv"
     result = CliRunner().invoke(app, ["plan", *line, "--overlap", "0.99", "--json", "-o", str(output)])
     assert result.exit_code == 0, result.output
     planned = json.loads(result.stdout)["exposures"]
     assert len(planned) >= 3
     assert planned[1]["time_s"] - planned[0]["time_s"] == pytest.approx(0.01 * 3648 * SCALE / away, rel=2e-3)
-    for command in (["overlap", *line[:-2]], ["plan", *line[:-2], "--overlap", "0.99", "-o", str(output)]):
-        refused = CliRunner().invoke(app, command)
-        assert refused.exit_code == 2
-        assert "give the ground: either --dem FILE, or --ground HEIGHT" in refused.stderr
+    refused = CliRunner().invoke(app, ["plan", *line[:-2], "--overlap", "0.99", "-o", str(output)])
+    assert refused.exit_code == 2
+    assert NO_GROUND in refused.stderr

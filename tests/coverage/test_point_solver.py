@@ -96,8 +96,8 @@ def test_a_batch_by_any_solver_is_what_ours_finds(name, solver):
     assert_same(batch(EVERY[name], looks, SOLVERS[solver]), ours)
 
 
-@pytest.mark.costly
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n != "two axes" else n for n in EVERY])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EVERY)
 def test_a_call_alone_is_its_lane_of_a_batch(name):
     looks = half_narrow(EVERY[name])
     looks = eqx.tree_at(lambda x: x.pose.heading, looks, looks.pose.heading.at[4].set(jnp.nan))

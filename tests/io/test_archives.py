@@ -625,7 +625,7 @@ def test_nothing_is_fetched_for_what_sees_no_ground(server: Served, cache: DemCa
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("depression", [60.0, 4.0])
+@pytest.mark.parametrize("depression", [pytest.param(60.0, marks=pytest.mark.slow), 4.0])
 def test_first_hits_are_those_of_the_whole_tile(
     server: Served, cache: DemCache, archive: pathlib.Path, depression: float
 ) -> None:

@@ -24,12 +24,12 @@ def outcome(scene) -> tuple[Strip, Correction | None]:
     return here, None if ties.observations is None else correct(here.views, ties)
 
 
-@pytest.mark.parametrize("scene", [periodic, rows_of_trees])
+@pytest.mark.parametrize("scene", [periodic, pytest.param(rows_of_trees, marks=pytest.mark.slow)])
 def test_repeated_texture_is_not_tied(scene) -> None:
     assert outcome(scene)[1] is None
 
 
-@pytest.mark.parametrize("scene", [water, shadows])
+@pytest.mark.parametrize("scene", [pytest.param(water, marks=pytest.mark.slow), shadows])
 def test_no_wrong_pose_is_accepted(scene) -> None:
     """Adjusted images err within the chi-square bounds of their covariances, each and together; the others are
     named."""

@@ -30,7 +30,7 @@ def errors_of(scene: Any, key: Any, indices: Any) -> Any:
     "scene, draws",
     [
         (SCENE, Random()),
-        (SCENE, Sobol()),
+        pytest.param(SCENE, Sobol(), marks=pytest.mark.slow),
         pytest.param(TERRAIN, Random(), marks=pytest.mark.slow),
         pytest.param(TERRAIN, Sobol(), marks=pytest.mark.slow),
     ],

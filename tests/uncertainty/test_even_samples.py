@@ -64,13 +64,19 @@ def test_numbers_are_standard_normal_and_uncorrelated() -> None:
     [
         (*TERRAIN, (*ANGLES, sources.TerrainHeight.from_metres(4.0))),
         (*TERRAIN, (*ANGLES, FIELD)),
-        (*TERRAIN, (*ANGLES, sources.TerrainHeight.from_metres(4.0, distribution=Uniform()))),
-        (
-            looks.level_sensor(),
-            looks.level_shot(),
-            looks.LEVEL_UV,
-            looks.LEVEL,
-            (*ANGLES, sources.Geoid.from_metres(1.0)),
+        pytest.param(
+            (*TERRAIN, (*ANGLES, sources.TerrainHeight.from_metres(4.0, distribution=Uniform()))),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            (
+                looks.level_sensor(),
+                looks.level_shot(),
+                looks.LEVEL_UV,
+                looks.LEVEL,
+                (*ANGLES, sources.Geoid.from_metres(1.0)),
+            ),
+            marks=pytest.mark.slow,
         ),
         (*SCENE[:4], MODEL),
     ],

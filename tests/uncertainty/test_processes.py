@@ -115,7 +115,7 @@ def test_one_two_and_four_processes_draw_the_same() -> None:
         assert_told_the_same(told(processes, SEVERAL), one)
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_two_processes_draw_the_same_as_this_one() -> None:
     """Also until the figure is known to a half width: then as many samples as its rounds ask for."""
     program = "tell(sample(*SCENE, key=KEY, count=9000, chunk=1))\n"
