@@ -179,6 +179,7 @@ def test_a_point_behind_and_a_point_beside(over_terrain):
     assert Status(int(jaxgeo.locate(narrow, shot, uv, ConstantHeight(130.0)).status)) is Status.outside_image
 
 
+@pytest.mark.costly
 def test_a_measured_range_gives_the_point_that_terrain_gives(over_terrain, located):
     sensor, shot, _ = over_terrain
     uv, fix = jax.tree.map(lambda x: x[0], located)

@@ -76,6 +76,7 @@ def imported_in(folder: str) -> set[str]:
     return set().union(*(imported(ast.parse(path.read_text(encoding="utf-8"))) for path in files))
 
 
+@pytest.mark.costly
 def test_every_dependency_is_imported_and_every_import_is_one(pyproject: dict[str, Any]) -> None:
     project = pyproject["project"]
     extras = project["optional-dependencies"]

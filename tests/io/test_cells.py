@@ -41,6 +41,7 @@ HOSTILE = (
 NAMES = (*HOSTILE, "a=b", "<script>alert(1)</script>", "'quoted'", "O'Hara", "-1.5", "a,b;c", 'the "third"')
 
 
+@pytest.mark.costly
 @given(st.text(max_size=8) | st.text("'=+-@\t\r\n01.,e", max_size=6))
 def test_every_text_comes_back_and_none_is_run(text: str) -> None:
     written = safe_cell(text)

@@ -78,6 +78,7 @@ def test_a_geopackage_in_memory_is_styled_too(tmp_path: pathlib.Path) -> None:
     assert pyogrio.read_info(path, layer="footprints")["features"] == 1
 
 
+@pytest.mark.costly
 def test_geojson_has_its_style_beside_it(tmp_path: pathlib.Path) -> None:
     write(tmp_path / "fixes.geojson", style=True)
     check_style((tmp_path / "fixes.qml").read_text(encoding="utf-8"))

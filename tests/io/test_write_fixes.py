@@ -284,6 +284,7 @@ def test_figures_are_those_of_the_metrics(tmp_path: pathlib.Path) -> None:
     )
 
 
+@pytest.mark.costly
 def test_no_figure_depends_on_how_many_are_computed_at_a_time(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, cov = tmp_path / "fixes.geojson", np.stack([LEVEL, 4.0 * LEVEL, 9.0 * LEVEL])
     write_fixes(path, made(), cov_enu=cov)

@@ -130,6 +130,7 @@ def test_it_is_valid_by_the_schema(tmp_path: pathlib.Path, suffix: str) -> None:
     assert folders[1].features[0].geometry.geom_type == "MultiPolygon"
 
 
+@pytest.mark.costly
 def test_the_same_fixes_make_the_same_kmz(tmp_path: pathlib.Path) -> None:
     one, other = tmp_path / "one.kmz", tmp_path / "other.kmz"
     write(one)

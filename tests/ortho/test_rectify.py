@@ -207,6 +207,7 @@ def test_through_the_air() -> None:
     check(found, expected(sensor, shot(), terrain, grid, atmosphere=Atmosphere()))
 
 
+@pytest.mark.costly
 def test_level_ground() -> None:
     sensor, terrain = sensor_of(PLAIN), ConstantHeight(120.0)
     found = rectify(sensor, shot(), PICTURES, terrain, cells_about(), CELLS)

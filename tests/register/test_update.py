@@ -492,6 +492,7 @@ def one_tie() -> TiePoints:
     return jax.tree.map(lambda x: x[:1] if jnp.ndim(x) else x, ties)
 
 
+@pytest.mark.costly
 def test_one_tie_needs_a_prior_that_predicts_it():
     tie_errors = TieErrors(registration=3.0, terrain=5.0)
     with pytest.raises(ValueError, match=r"1 tie point, whose pixel the prior predicts to \d"):

@@ -37,6 +37,7 @@ def original(jaxgeo_test_data):
 intersect = jax.jit(jax.vmap(jaxgeo.intersect, in_axes=(0, None)))
 
 
+@pytest.mark.costly
 def test_the_published_hits_are_met_to_two_millimetres(ventoux, original):
     """One ray passes a void far below the highest post on its way, so that by default it has no answer."""
     rays, hit, other, touches_void = ventoux

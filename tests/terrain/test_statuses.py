@@ -152,6 +152,7 @@ def check(ground: Ground, count: int, seed: int, least: int) -> None:
     assert all(counts[name] >= least for name in ALL), counts
 
 
+@pytest.mark.costly
 def test_no_ray_over_made_ground_has_a_status_that_is_wrong_by_its_definition(tmp_path):
     check(made(tmp_path), 256, seed=1, least=3)
 
