@@ -5,6 +5,7 @@ Agrees with `_radius` to about 1e-12 of the radius (1e-10 for a sphere).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
@@ -135,6 +136,7 @@ def _in_ball(radius: np.ndarray, mean: Sequence[Any], sigma: Sequence[float]) ->
     return np.asarray(np.sum(share * weight * _in_ball(chord, inner, sigma[:-1]), axis=-1))
 
 
+@functools.cache
 def _rule(inner: int) -> tuple[np.ndarray, Any]:
     """Angles of the chords that leave `inner` axes, and their weights."""
     if inner == 1:
