@@ -105,6 +105,8 @@ class Adjustment:
         if problem.observed is not None:
             for weights in (problem.observed.information_position, problem.observed.information_attitude):
                 count += int(np.sum(np.any(np.asarray(weights) != 0.0, axis=2)))
+            if problem.observed.rows is not None:
+                count += int(np.sum(np.any(np.asarray(problem.observed.rows.by_pose) != 0.0, axis=2)))
         if problem.terrain is not None:
             count += int(np.sum(np.asarray(problem.terrain.information) > 0.0))
         return count + sum(
@@ -156,7 +158,15 @@ class Adjustment:
         """Residuals of the navigation (n, 6) in standard deviations: position, attitude."""
         if self.prepared.problem.observed is None:
             return None
-        return np.asarray(navigation_residuals(self.prepared.problem, self.solution.values))
+        return np.asarray(navigation_residuals(self.prepared.problem, self.solution.values))[:, :6]
+
+    @cached_property
+    def pose_residuals(self) -> np.ndarray | None:
+        """Residuals of the further observations of the orientations (n, r), in standard deviations; None without."""
+        observed = self.prepared.problem.observed
+        if observed is None or observed.rows is None:
+            return None
+        return np.asarray(navigation_residuals(self.prepared.problem, self.solution.values))[:, 6:]
 
     @cached_property
     def images(self) -> Images:

@@ -47,11 +47,30 @@ def _changed(lens: Any, active: tuple[int, ...], change: Any) -> Any:
     return jnp.stack(parts)
 
 
+class ObservedRows(Record):
+    """Further observations of an orientation, or of all (leading axis), with unit weights; see `PoseRows`. `by_common`
+    (r, k) are in the order of the numbers that images share."""
+
+    centre: Any
+    R_frame_from_camera: Any
+    offset: Any
+    by_pose: Any
+    by_lens: Any
+    by_common: Any
+
+    def residual(self, centre: Vector3, R: Matrix3, lens: Any, common: Float[Array, " k"]) -> Float[Array, " r"]:
+        """Their residuals; `lens` is the change of the interior orientation and lens."""
+        turn = rotation_vector_from_R(matmul3(self.R_frame_from_camera.T, R))
+        change = jnp.concatenate([centre - self.centre, turn])
+        return self.offset + self.by_pose @ change + self.by_lens @ lens + self.by_common @ common
+
+
 class Observed(Record):
     """Navigation of an image, or of all (leading axis), and its mount; see `Navigation`.
 
     `centred_time` is s after the strip's mean time; `level` states whether the gimbal reports in local level. `common`
-    (6, k) is the error of position and attitude for each of the numbers that images share.
+    (6, k) is the error of position and attitude for each of the numbers that images share. `rows` are further
+    observations of the orientation, if any.
     """
 
     position: Any
@@ -66,6 +85,7 @@ class Observed(Record):
     level: Any
     centred_time: Any
     common: Any
+    rows: ObservedRows | None = None
 
 
 def navigation_residual(
@@ -76,8 +96,10 @@ def navigation_residual(
     lever: Vector3,
     strip: Float[Array, "6"],
     common: Float[Array, " k"],
-) -> Float[Array, "6"]:
-    """Weighted residuals of position (m) and attitude (rad), predicted from an orientation less observed.
+    lens: Any = None,
+) -> Float[Array, " rows"]:
+    """Weighted residuals of position (m) and attitude (rad), predicted from an orientation less observed; with `lens`,
+    the change of interior orientation and lens, also those of the further observations.
 
     Positions use the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
     Eq 5, where the lever arm's sign is that of the IMU seen from the camera). Attitudes are the rotation vector between
@@ -98,7 +120,10 @@ def navigation_residual(
     shared = observed.common @ common
     off = imu + strip[:3] + observed.centred_time * strip[3:] - observed.position - shared[:3]
     turn = turn - shared[3:]
-    return jnp.concatenate([matvec(observed.information_position, off), matvec(observed.information_attitude, turn)])
+    found = [matvec(observed.information_position, off), matvec(observed.information_attitude, turn)]
+    if observed.rows is not None and lens is not None:
+        found.append(observed.rows.residual(centre, R, lens, common))
+    return jnp.concatenate(found)
 
 
 def navigation_linear(
@@ -109,10 +134,11 @@ def navigation_linear(
     lever: Vector3,
     strip: Float[Array, "6"],
     common: Float[Array, " k"],
-) -> tuple[Float[Array, "6"], Float[Array, "6 columns"]]:
+    lens: Any = None,
+) -> tuple[Float[Array, " rows"], Float[Array, "rows columns"]]:
     """The same residuals and their derivatives by pose (6), mount (6), strip (6) and common numbers (k)."""
 
-    def residual(step: Float[Array, "18"]) -> Float[Array, "6"]:
+    def residual(step: Float[Array, "18"]) -> Float[Array, " rows"]:
         pose, mount, of_strip = step[:6], step[6:12], step[12:]
         return navigation_residual(
             observed,
@@ -122,6 +148,7 @@ def navigation_linear(
             lever + mount[3:],
             strip + of_strip,
             common,
+            lens,
         )
 
     at = jnp.zeros(18)
@@ -129,6 +156,8 @@ def navigation_linear(
     by_common = [
         -weight @ part for weight, part in zip(weights, (observed.common[:3], observed.common[3:]), strict=True)
     ]
+    if observed.rows is not None and lens is not None:
+        by_common.append(observed.rows.by_common)
     return residual(at), jnp.concatenate([jax.jacfwd(residual)(at), jnp.concatenate(by_common)], axis=1)
 
 

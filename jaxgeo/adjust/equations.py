@@ -58,8 +58,8 @@ def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
     return total
 
 
-def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"]:
-    """Weighted residuals of positions and attitudes."""
+def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n rows"]:
+    """Weighted residuals of positions and attitudes (6), then those of further observations of the orientations."""
     assert problem.observed is not None
     return jax.vmap(navigation_residual)(problem.observed, *of_images(problem, values))
 
@@ -144,6 +144,7 @@ def of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
         values.lever[mount],
         values.strip[strip],
         jnp.broadcast_to(values.common, (problem.n, values.common.shape[0])),
+        (values.lens - problem.start.lens)[problem.layout.camera],
     )
 
 
@@ -212,17 +213,22 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
     }
 
 
-def navigation_columns(problem: Problem, by: Float[Array, "n 6 columns"]) -> Float[Array, "n 6 s"]:
+def navigation_columns(problem: Problem, by: Float[Array, "n rows columns"]) -> Float[Array, "n rows s"]:
     """Derivatives of the navigation by the shared parameters, in the columns of the reduced system."""
-    n = problem.n
-    parts = [jnp.zeros((n, 6, problem.of_lenses))]
+    n, rows = by.shape[:2]
+    parts = [jnp.zeros((n, rows, problem.of_lenses))]
+    if problem.of_lenses and problem.observed is not None and problem.observed.rows is not None:
+        own = problem.observed.rows.by_lens[:, :, jnp.array(problem.active, int)]
+        camera = jax.nn.one_hot(problem.layout.camera, problem.lens.free.shape[0], dtype=jnp.float64)
+        own = own[:, :, None, :] * (camera[:, :, None] * problem.lens.free[None])[:, None]
+        parts[0] = parts[0].at[:, -own.shape[1] :].set(own.reshape(n, own.shape[1], -1))
     both = ((problem.mounts, problem.mount, problem.mount_of, POSE, MOUNT),)
     both += ((problem.strips, problem.strip, problem.strip_of, POSE + MOUNT, STRIP),)
     for there, known, number, first, size in both:
         if there:
             of = jax.nn.one_hot(number, known.free.shape[0], dtype=jnp.float64)
             own = by[:, :, first : first + size] * known.free[number][:, None, :]
-            parts.append((of[:, None, :, None] * own[:, :, None, :]).reshape(n, 6, -1))
+            parts.append((of[:, None, :, None] * own[:, :, None, :]).reshape(n, rows, -1))
     parts.append(by[:, :, POSE + MOUNT + STRIP :])
     return jnp.concatenate(parts, axis=-1)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo.adjust.frame import LocalFrame
+from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.records import Names, as_names
 from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.sensor import Mount, Sensor, Shot
@@ -43,22 +44,26 @@ class Navigation:
     """Errors that images share, by name: (n, 6), how far one standard deviation of each moves the position (m, frame
     axes) and the reference (rotation vector in its own axes, rad). They are unknowns of every adjustment, with standard
     normal priors; the information of the positions and attitudes is that of the other errors."""
+    pose_rows: PoseRows | None = None
+    """Further observations of the orientations of the cameras themselves, such as of a map."""
 
     @property
     def names_of_common(self) -> tuple[str, ...]:
-        """Names of the errors that images share."""
-        return tuple(self.common)
+        """Names of the errors that images share, and of the numbers that the further observations add."""
+        return tuple(dict.fromkeys([*self.common, *(() if self.pose_rows is None else self.pose_rows.by_common)]))
 
     @property
     def common_errors(self) -> np.ndarray:
-        """`common` as one array (n, 6, k)."""
-        return np.stack([np.zeros((len(self.position), 6)), *self.common.values()], axis=2)[:, :, 1:]
+        """`common` as one array (n, 6, k), in the order of `names_of_common`."""
+        none = np.zeros((len(self.position), 6))
+        return np.stack([none, *(self.common.get(name, none) for name in self.names_of_common)], axis=2)[:, :, 1:]
 
     def of(self, rows: np.ndarray) -> Navigation:
         """That of some images."""
         arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
         common = {name: errors[rows] for name, errors in self.common.items()}
-        return Navigation(**arrays, mounts=self.mounts, common=common)
+        measured = None if self.pose_rows is None else self.pose_rows.of(rows)
+        return Navigation(**arrays, mounts=self.mounts, common=common, pose_rows=measured)
 
     def loosened(self, factor: float) -> Navigation:
         """A copy with standard deviations `factor` times as large, for start values with negligible weight."""
@@ -66,10 +71,11 @@ class Navigation:
             self,
             information_position=self.information_position / factor,
             information_attitude=self.information_attitude / factor,
+            pose_rows=None if self.pose_rows is None else self.pose_rows.weighted(1.0 / factor),
         )
 
 
-_ARRAYS = tuple(name for name in Navigation.__dataclass_fields__ if name not in ("mounts", "common"))
+_ARRAYS = tuple(name for name in Navigation.__dataclass_fields__ if name not in ("mounts", "common", "pose_rows"))
 
 
 def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +120,12 @@ def navigation_of(
 
 
 def joined(parts: list[Navigation]) -> Navigation:
-    """Concatenated navigation of several lists of images; common errors of one name are the same."""
+    """Concatenated navigation of several lists of images; common errors of one name are the same.
+
+    Raises `ValueError` for parts with further observations of orientations.
+    """
+    if any(part.pose_rows is not None for part in parts):
+        raise ValueError("navigation with pose_rows cannot be joined; join the parts first, then add the rows.")
     arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     mounts = {name: mount for part in parts for name, mount in part.mounts.items()}
     names = dict.fromkeys(name for part in parts for name in part.common)

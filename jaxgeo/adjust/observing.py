@@ -18,21 +18,23 @@ from jaxgeo.adjust.values import POSE, Values
 
 class Observing(Record):
     """Weighted derivatives by free unknowns: of control (rows, 3, 3) and terrain (rows, 3) by the point, of the
-    navigation by the pose (n, 6, 6) and the shared parameters (n, 6, s); and the weighted residuals of each."""
+    navigation, and of further observations of orientations, by the pose (n, k, 6) and the shared parameters (n, k, s);
+    and the weighted residuals of each."""
 
     control: Float[Array, "rows 3 3"]
     terrain: Float[Array, "rows 3"]
-    by_pose: Float[Array, "n 6 6"]
-    by_shared: Float[Array, "n 6 s"]
+    by_pose: Float[Array, "n k 6"]
+    by_shared: Float[Array, "n k s"]
     of_control: Float[Array, "rows 3"]
     of_terrain: Float[Array, " rows"]
-    of_navigation: Float[Array, "n 6"]
-    weights: tuple[Float[Array, "rows 3"], Float[Array, " rows"], Float[Array, "n 6"]]
+    of_navigation: Float[Array, "n k"]
+    weights: tuple[Float[Array, "rows 3"], Float[Array, " rows"], Float[Array, "n k"]]
 
     def alike(self, size: Scalar) -> Observing:
         """A copy with unit weights on lengths in m, and on rotations as displacements at a distance of `size` m."""
         control, terrain, navigation = (jnp.where(w > 0.0, 1.0 / jnp.where(w > 0.0, w, 1.0), 0.0) for w in self.weights)
-        navigation = navigation * jnp.concatenate([jnp.ones(3), jnp.full(3, size)])[None]
+        further = jnp.ones(navigation.shape[1] - 6)
+        navigation = navigation * jnp.concatenate([jnp.ones(3), jnp.full(3, size), further])[None]
         return Observing(
             self.control * control[:, :, None],
             self.terrain * terrain[:, None],
@@ -93,6 +95,8 @@ def observing(problem: Problem, values: Values, control_root: Float[Array, " row
         off, by = jax.vmap(navigation_linear)(observed, *of_images(problem, values))
         parts = (observed.information_position, observed.information_attitude)
         weights = jnp.concatenate([jnp.linalg.norm(x, axis=2) for x in parts], axis=1)
+        if observed.rows is not None:  # their weights are those of positions
+            weights = jnp.concatenate([weights, jnp.linalg.norm(observed.rows.by_pose[:, :, :3], axis=2)], axis=1)
     return Observing(
         control=control,
         terrain=slope * free,

@@ -11,10 +11,11 @@ import numpy as np
 
 from jaxgeo.adjust.arrays import Known, Problem
 from jaxgeo.adjust.block import Block
-from jaxgeo.adjust.collinearity import Observed
+from jaxgeo.adjust.collinearity import Observed, ObservedRows
 from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.adjust.initial_points import started
 from jaxgeo.adjust.layout import Order, layout_of
+from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.terrain_heights import HeightObservations, TerrainHeights
 from jaxgeo.adjust.unknowns import Free, Unknowns, spread
 from jaxgeo.adjust.values import INTERIOR, Values, interior_of, names_of_interior
@@ -213,8 +214,14 @@ def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) ->
         level=np.array([level for _, level in of_mount])[mount_of],
         centred_time=nav.time - middle[strip_of],
         common=nav.common_errors,
+        rows=None if nav.pose_rows is None else _observed_rows(nav.pose_rows, nav.names_of_common),
     )
     return jax.tree.map(jnp.asarray, observed), mount_of, strip_of
+
+
+def _observed_rows(given: PoseRows, common: tuple[str, ...]) -> ObservedRows:
+    parts = given.centre, given.R_frame_from_camera, given.offset, given.by_pose, given.by_lens
+    return ObservedRows(*parts, given.columns(common))
 
 
 def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 from jaxgeo.ties.block import MatchedPair, Ties, find_ties
 from jaxgeo.ties.correction import Correction, correct
 from jaxgeo.ties.kept import KeptMatches
+from jaxgeo.ties.map_control import MapControl
 from jaxgeo.ties.matching import Matching, PairMatches, TieOutcome, match_pair
 from jaxgeo.ties.pairs import Pair, candidate_pairs
 from jaxgeo.ties.pictures import Pictures
@@ -12,6 +13,7 @@ from jaxgeo.ties.views import Views
 __all__ = [
     "Correction",
     "KeptMatches",
+    "MapControl",
     "MatchedPair",
     "Matching",
     "Pair",

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo._typing import Numbers, Scalar
 from jaxgeo.adjust import (
-    AbstractLoss,
     Adjustment,
     Block,
     HeightObservations,
@@ -31,7 +29,10 @@ from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
 from jaxgeo.sensor import Mount
 from jaxgeo.ties.block import Ties
+from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.excess import by_median, excess_of
+from jaxgeo.ties.map_control import MapControl
+from jaxgeo.ties.robust import WIDEST, WIDTH, ScaledCauchy, less_sure
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
@@ -44,19 +45,6 @@ ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that e
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 ROUNDS = 10
-WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
-
-
-class _Cauchy(AbstractLoss):
-    """Cauchy's loss with its width as an array: least squares, by a large width, is then the same program."""
-
-    width: Scalar
-
-    def rho(self, squared: Numbers) -> Numbers:
-        return self.width**2 * jnp.log1p(squared / self.width**2)
-
-    def weight(self, squared: Numbers) -> Numbers:
-        return 1.0 / (1.0 + squared / self.width**2)
 
 
 @dataclass(frozen=True)
@@ -68,7 +56,8 @@ class Correction:
     residuals of the same measurements in px per axis: with the orientations of the navigation, and the adjusted ones.
     `moved` (n, 3) in m and `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north,
     up), rotation about the camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation.
-    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these.
+    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these. `control` has
+    the images registered to a map whose measurements entered, `refused` the sentences on those that did not.
     """
 
     views: Views
@@ -81,6 +70,8 @@ class Correction:
     sigmas: np.ndarray
     left_out: int
     unconnected: list[str]
+    control: MapControl | None = None
+    refused: dict[str, str] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -96,9 +87,13 @@ class Correction:
     def sigma_of_mean(self) -> np.ndarray:
         """Standard deviations (3,) in m, east, north, up, of the mean position of the adjusted images.
 
-        Tie points do not show it. It is that of the navigation: errors of each image alone, which average out, and
-        those that images share, which do not.
+        Tie points do not show it. Without a map it is that of the navigation: errors of each image alone, which average
+        out, and those that images share, which do not. With a map it is that of the adjusted positions.
         """
+        if self.control is not None:
+            n = len(self.adjustment.images)
+            positions = self.adjustment.covariance[: 6 * n, : 6 * n].reshape(n, 6, n, 6)[:, :3, :, :3]
+            return np.sqrt(np.diagonal(positions.mean(axis=(0, 2))))
         rows = _rows(self.views, self.names)
         alone = np.diagonal(self.views.own, axis1=1, axis2=2)[rows, :3].sum(axis=0) / len(rows) ** 2
         shared = [one[rows, :3].mean(axis=0) ** 2 for one in self.views.common.values()]
@@ -111,12 +106,7 @@ class Correction:
 
     def words(self) -> str:
         """What the images alone do not show, as sentences."""
-        east, north, up = self.sigma_of_mean
-        lines = [
-            f"Images alone do not show a shift of all positions: it stays that of the navigation, {east:.3g}, "
-            f"{north:.3g}, {up:.3g} m (E, N, U; one sigma"
-            + (")." if self.views.common else ", as its errors are stated to be independent between images).")
-        ]
+        lines = [self._words_of_shift()]
         if not self.adjustment.parameters:
             lines.append(
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
@@ -128,14 +118,34 @@ class Correction:
         if self.unconnected:
             some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
             lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
+        lines += [f"The map does not count in {name}: {reason}" for name, reason in self.refused.items()]
         if self.doubtful:
             some = ", ".join(self.doubtful[:10]) + (" ..." if len(self.doubtful) > 10 else "")
             lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors: {some}.")
         return "\n".join(lines)
 
+    def _words_of_shift(self) -> str:
+        east, north, up = self.sigma_of_mean
+        if self.control is not None:
+            names = ", ".join(self.control.names[:10]) + (" ..." if len(self.control) > 10 else "")
+            return (
+                f"Registered to the map: {names}. The mean position of all images is known to {east:.3g}, {north:.3g}, "
+                f"{up:.3g} m (E, N, U; one sigma), the errors of the map included as stated."
+            )
+        return (
+            f"Images alone do not show a shift of all positions: it stays that of the navigation, {east:.3g}, "
+            f"{north:.3g}, {up:.3g} m (E, N, U; one sigma"
+            + (")." if self.views.common else ", as its errors are stated to be independent between images).")
+        )
+
 
 def correct(
-    views: Views, ties: Ties | ImagePoints, unknowns: Unknowns | None = None, terrain: HeightObservations | None = None
+    views: Views,
+    ties: Ties | ImagePoints,
+    unknowns: Unknowns | None = None,
+    terrain: HeightObservations | None = None,
+    *,
+    control: MapControl | None = None,
 ) -> Correction:
     """Adjust the orientations of images by tie points among them.
 
@@ -148,10 +158,18 @@ def correct(
     `unknowns` adds a self-calibration (`images` are always free), `terrain` observations of the heights of the points.
     Points whose rays are parallel, as in images from one position, have no place and are left out.
 
+    `control` adds what images registered to a map say about their orientations, with the errors of map and terrain; the
+    map shift is an unknown of the whole. Tie points are chosen without it. Each registration is then held against the
+    navigation, the tie points and the other registrations, by the squared distance of its measurements from their
+    prediction without it (chi-square): those less probable than 1e-6 are left out, the least probable first. Where two
+    contradict each other and nothing tells which one is wrong, both are. `refused` says which and why.
+
     Raises `ValueError` without tie points between any two images, for rays that are all parallel, and as
     `jaxgeo.adjust.adjust`.
     """
     check_is(views, Views, "views")
+    if control is not None:
+        check_is(control, MapControl, "control")
     observations = ties.observations if isinstance(ties, Ties) else ties
     if observations is None:
         raise ValueError(
@@ -174,7 +192,14 @@ def correct(
             break
         observations = left  # an image has lost its ties
     found, excess = _final(block, unknowns, terrain, kept, values, excess)
-    return _correction(views, found, excess, given)
+    result = _correction(views, found, excess, given)
+    if control is None:
+        return result
+    chosen = with_control(found, Tied(block, unknowns, terrain, kept, excess), control)
+    if chosen.adjustment is None:
+        return replace(result, refused=chosen.refused)
+    result = _correction(views, chosen.adjustment, excess, given)
+    return replace(result, control=chosen.control, refused=chosen.refused)
 
 
 def _of_places(views: Views, observations: ImagePoints) -> ImagePoints:
@@ -193,11 +218,11 @@ def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None
     first = kept = screened_of(block, unknowns, SIGMAS).kept
     values, excess = None, FIRST_EXCESS
     for _ in range(ROUNDS):
-        less_sure = _less_sure(block, excess)
-        full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
-        solution = solve(masked(less_sure, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
+        weighted = less_sure(block, excess)
+        full = prepared(weighted, unknowns, terrain, set_aside(weighted, first))
+        solution = solve(masked(weighted, full, kept).problem, ScaledCauchy(jnp.asarray(WIDTH)), start=values)
         values = solution.values
-        residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
+        residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * weighted.observations.sigma
         largest, sigma = _largest(residuals, block.observations.sigma)
         last, excess = excess, by_median(largest[kept.rows], sigma[kept.rows])
         fits = largest <= OUTLIER * np.hypot(sigma, excess)
@@ -207,12 +232,6 @@ def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None
             break
     assert values is not None
     return kept, values, excess
-
-
-def _less_sure(block: Block, excess: float) -> Block:
-    """The block with a standard deviation in px added to those of its image points."""
-    observed = block.observations
-    return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, excess)))
 
 
 def _largest(residuals: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -236,18 +255,18 @@ def _final(
 ) -> tuple[Adjustment, float]:
     """(least-squares adjustment of the kept measurements, the standard deviation in px added to theirs)."""
     for last in (False, False, True):
-        less_sure = _less_sure(block, excess)
-        ready = masked(less_sure, prepared(less_sure, unknowns, terrain, set_aside(less_sure, kept)), kept)
-        solution = solve(ready.problem, _Cauchy(jnp.asarray(WIDEST)), start=values)
+        weighted = less_sure(block, excess)
+        ready = masked(weighted, prepared(weighted, unknowns, terrain, set_aside(weighted, kept)), kept)
+        solution = solve(ready.problem, ScaledCauchy(jnp.asarray(WIDEST)), start=values)
         values = solution.values
         if not last:
             off = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
             freedom = max(2 * len(off) - 6 * len(block.images) - 3 * len(ready.names.point), 1)
             excess = excess_of(
-                off * less_sure.observations.sigma[kept.rows], block.observations.sigma[kept.rows], freedom
+                off * weighted.observations.sigma[kept.rows], block.observations.sigma[kept.rows], freedom
             )
     screen = Screen(kept)
-    return adjusted(block_of(less_sure, kept), unknowns, ready, solution, LeastSquares(), None, screen), excess
+    return adjusted(block_of(weighted, kept), unknowns, ready, solution, LeastSquares(), None, screen), excess
 
 
 def _of_images(observations: ImagePoints, names: list[str]) -> ImagePoints:
