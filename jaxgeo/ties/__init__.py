@@ -7,11 +7,13 @@ from jaxgeo.ties.map_control import MapControl
 from jaxgeo.ties.matching import Matching, PairMatches, TieOutcome, match_pair
 from jaxgeo.ties.pairs import Pair, candidate_pairs
 from jaxgeo.ties.pictures import Pictures
+from jaxgeo.ties.recursive import FrameEstimate, RecursiveCorrection
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
 __all__ = [
     "Correction",
+    "FrameEstimate",
     "KeptMatches",
     "MapControl",
     "MatchedPair",
@@ -19,6 +21,7 @@ __all__ = [
     "Pair",
     "PairMatches",
     "Pictures",
+    "RecursiveCorrection",
     "TieOutcome",
     "Ties",
     "Views",

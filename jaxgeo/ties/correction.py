@@ -292,8 +292,8 @@ def _navigation(views: Views) -> Navigation:
         R_frame_from_body=views.R_frame_from_camera,
         R_frame_from_reference=views.R_frame_from_camera,
         R_base_from_head=each,
-        information_position=_information(position, LEAST_POSITION),
-        information_attitude=_information(attitude, LEAST_ATTITUDE),
+        information_position=information_of(position, LEAST_POSITION),
+        information_attitude=information_of(attitude, LEAST_ATTITUDE),
         mount=views.camera,
         strip=np.full(count, "strip"),
         time=np.zeros(count),
@@ -302,7 +302,8 @@ def _navigation(views: Views) -> Navigation:
     )
 
 
-def _information(covariance: np.ndarray, least: float) -> np.ndarray:
+def information_of(covariance: np.ndarray, least: float) -> np.ndarray:
+    """W (n, 3, 3) with W' W the inverse of covariances, which a standard deviation is added to."""
     return np.linalg.inv(np.linalg.cholesky(covariance + least**2 * np.eye(3)))
 
 

@@ -45,7 +45,7 @@ def split(images: Sequence[OfImage], time: np.ndarray, flight: np.ndarray) -> Sp
     for label, members in _alike(images).items():
         rows = np.array(sorted(members))
         source = members[int(rows[0])][0]
-        effects = np.stack([_effects(images[row], members[row][1]) for row in rows.tolist()])
+        effects = np.stack([effects_of(images[row], members[row][1]) for row in rows.tolist()])
         names, modes = _modes(source.sharing, time[rows], flight[rows], len(source.axes))
         rest = np.maximum(1.0 - np.sum(modes**2, axis=1), 0.0)
         own[rows] += rest[:, None, None] * effects @ np.swapaxes(effects, 1, 2)
@@ -81,7 +81,7 @@ def _words(sharing: AbstractSharing) -> tuple[Any, ...]:
     return (type(sharing).__name__, *(float(leaf) for leaf in jax.tree.leaves(sharing)))
 
 
-def _effects(image: OfImage, place: slice) -> np.ndarray:
+def effects_of(image: OfImage, place: slice) -> np.ndarray:
     """Effects (6, axes) on the pose of uncorrelated errors of unit variance: the symmetric root of the covariance."""
     values, vectors = np.linalg.eigh(image.covariance[place, place])
     return image.by_error[:, place] @ (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

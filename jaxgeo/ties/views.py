@@ -86,16 +86,16 @@ class Views:
                 f"name, exposures and errors must have one entry for each image; got {len(names)}, {len(exposures)} "
                 f"and {len(errors)}."
             )
-        exposures = tuple(_checked(one, exposure) for one, exposure in zip(names, exposures, strict=True))
+        exposures = tuple(checked_frame(one, exposure) for one, exposure in zip(names, exposures, strict=True))
         frame = frame_at(_stacked([_shot(one).pose.position for one in exposures]))
         camera, cameras = _cameras_of(exposures)
-        models = [_pose_errors(given) for given in errors]
-        found = [_oriented(frame, one, model) for one, model in zip(exposures, models, strict=True)]
+        models = [pose_errors(given) for given in errors]
+        found = [oriented(frame, one, model) for one, model in zip(exposures, models, strict=True)]
         centre, R = (np.stack([np.asarray(one[k]) for one in found]) for k in range(2))
         each = [OfImage(one.sources, *map(np.asarray, part[2:])) for one, part in zip(models, found, strict=True)]
         own, common = split(each, np.array([float(_shot(one).time) for one in exposures]), _flights(flight, len(names)))
         covariance = own + sum((one[:, :, None] * one[:, None, :] for one in common.values()), np.zeros(own.shape))
-        _check_covariances(names, covariance)
+        check_errors(names, covariance)
         Images(names, camera, centre, R)  # raises for duplicate names and poses that are not finite
         return cls(names, exposures, camera, cameras, frame, centre, R, covariance, own, common)
 
@@ -177,7 +177,7 @@ def _shot(exposure: Exposure) -> Shot:
     return exposure.motion
 
 
-def _checked(name: str, exposure: Exposure) -> Exposure:
+def checked_frame(name: str, exposure: Exposure) -> Exposure:
     check_is(exposure, Exposure, f"exposure of image {name}")
     check_is(exposure.sensor.camera, FrameCamera, f"camera of image {name}", "Tie points are of frame cameras.")
     check_is(exposure.motion, Shot, f"motion of image {name}", "Take the shot of a trajectory at the exposure time.")
@@ -202,7 +202,7 @@ def _cameras_of(exposures: Sequence[Exposure]) -> tuple[Names, dict[str, FrameCa
     for exposure in exposures:
         camera = exposure.sensor.camera
         assert isinstance(camera, FrameCamera)
-        same = next((name for name, one in cameras.items() if one is camera or _are_equal(one, camera)), None)
+        same = next((name for name, one in cameras.items() if one is camera or are_equal(one, camera)), None)
         if same is None:
             same = str(len(cameras) + 1)
             cameras[same] = camera
@@ -210,14 +210,14 @@ def _cameras_of(exposures: Sequence[Exposure]) -> tuple[Names, dict[str, FrameCa
     return np.array(names), cameras
 
 
-def _are_equal(one: Any, other: Any) -> bool:
+def are_equal(one: Any, other: Any) -> bool:
     a, b = jax.tree.leaves(one), jax.tree.leaves(other)
     if jax.tree.structure(one) != jax.tree.structure(other):
         return False
     return all(np.array_equal(np.asarray(x), np.asarray(y)) for x, y in zip(a, b, strict=True))
 
 
-def _pose_errors(errors: Any) -> ErrorModel:
+def pose_errors(errors: Any) -> ErrorModel:
     """Those sources of a model that move the pose."""
     given = errors.sources if isinstance(errors, ErrorModel) else errors
     given = given if isinstance(given, tuple | list) else (given,)
@@ -225,7 +225,7 @@ def _pose_errors(errors: Any) -> ErrorModel:
 
 
 @quick_filter_jit
-def _oriented(
+def oriented(
     frame: LocalFrame, exposure: Exposure, model: ErrorModel
 ) -> tuple[Vector3, Matrix3, Float[Array, "6 errors"], Float[Array, "errors errors"]]:
     """(perspective centre and orientation in the frame, their derivatives by the errors, the errors' covariance)."""
@@ -249,7 +249,7 @@ def _oriented(
     return centre, R, jax.jacfwd(offset)(jnp.zeros(model.size)), model.covariance()
 
 
-def _check_covariances(names: np.ndarray, covariance: np.ndarray) -> None:
+def check_errors(names: np.ndarray, covariance: np.ndarray) -> None:
     for what, part in (("position", np.s_[:3]), ("attitude", np.s_[3:])):
         spread = np.trace(covariance[:, part, part], axis1=1, axis2=2)
         if not np.all(spread > 0.0):

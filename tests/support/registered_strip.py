@@ -100,19 +100,20 @@ def drawn(seed: int, count: int = 12, longest: int = 5, points: int = 14, distur
 
     `points` ground points lie around the nadir of each image, at heights of +- 10 m about the terrain.
     """
-    rng = np.random.default_rng([seed, 5])
+    rng, layout = np.random.default_rng([seed, 5]), np.random.default_rng(5)  # one layout, so that shapes are the same
     true = views_of(shots(count))
     model = ErrorModel(ERRORS)
     errors = errors_drawn(count, rng) if disturbed else np.zeros((count, 12))
     given = views_of([moved(shot, model, one) for shot, one in zip(shots(count), errors, strict=True)])
     ground = np.concatenate(
         [
-            true.centre[k] + np.column_stack([rng.uniform(-70, 70, points), rng.uniform(-50, 50, points), np.zeros(points)])
+            true.centre[k]
+            + np.column_stack([layout.uniform(-70, 70, points), layout.uniform(-50, 50, points), np.zeros(points)])
             for k in range(count)
         ]
     )
     level = np.asarray(true.frame.from_geodetic(shots(1)[0].pose.position))[2] - ABOVE
-    ground[:, 2] = level + rng.uniform(-10.0, 10.0, len(ground))
+    ground[:, 2] = level + layout.uniform(-10.0, 10.0, len(ground))
     seen = np.zeros(len(ground), int)
     rows = []
     for k in range(count):

@@ -1,0 +1,236 @@
+"""Images registered to a map among images tied to each other: against dense least squares, and against drawn truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.drone_strip import GROUND, SENSOR
+from support.registered_strip import (
+    ERRORS,
+    OFFSET,
+    POSITION,
+    TERRAIN,
+    TIE_ERRORS,
+    Drawn,
+    drawn,
+    errors_of,
+    pixels,
+    registered,
+    views_of,
+)
+
+from jaxgeo.register import Outcome, Registration, TieErrors, TiePoints
+from jaxgeo.ties import Correction, MapControl, Views, correct
+from jaxgeo.uncertainty import ErrorModel, sources
+
+pytestmark = pytest.mark.costly
+
+COUNT, ROW, SEEDS = 9, 2, 8
+
+
+def control_of(of: Drawn, found: dict[int, Registration]) -> MapControl:
+    return MapControl.of(of.given, {str(of.given.name[row]): one for row, one in found.items()}, TERRAIN)
+
+
+def prior_of(views: Views) -> np.ndarray:
+    """Joint covariance (6 n, 6 n) of the navigation."""
+    n = len(views)
+    total = np.zeros((n, 6, n, 6))
+    for i in range(n):
+        for j in range(n):
+            pair = views.covariance_of_pair(i, j)
+            total[i, :, j] = pair[:6, 6:] if i != j else pair[:6, :6]
+    return total.reshape(6 * n, 6 * n)
+
+
+def derivative(centre: np.ndarray, R: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Derivatives (2, 9) of a pixel by the pose and the point, by central differences."""
+    columns = []
+    for step in np.eye(9) * 1e-5:
+        ends = [
+            pixels(
+                centre + s * step[:3], R @ Rotation.from_rotvec(s * step[3:6]).as_matrix(), (place + s * step[6:])[None]
+            )
+            for s in (1.0, -1.0)
+        ]
+        columns.append((ends[0] - ends[1])[0] / 2e-5)
+    return np.stack(columns, axis=1)
+
+
+def dense(found: Correction, prior: np.ndarray, ties: TiePoints, row: int) -> np.ndarray:
+    """Covariance of all poses and of the shift by least squares with every tie and map point as an unknown."""
+    images, observed, points = found.adjustment.images, found.adjustment.block.observations, found.adjustment.points
+    number = {name: k for k, name in enumerate(points.name.tolist())}
+    first = 6 * COUNT
+    of_map = first + 3 * len(number)
+    shift = of_map + 3 * ties.count
+    normal = np.zeros((shift + 2,) * 2)
+    normal[:first, :first] = np.linalg.inv(prior)
+    for name, point, sigma in zip(observed.image.tolist(), observed.point.tolist(), observed.sigma, strict=True):
+        image, k = found.names.index(name), number[point]
+        J = derivative(images.centre[image], images.R_frame_from_camera[image], points.place[k]) / sigma[:, None]
+        at = np.r_[6 * image : 6 * image + 6, first + 3 * k : first + 3 * k + 3]
+        normal[np.ix_(at, at)] += J.T @ J
+    ground = replace(ties.ground, height=jnp.full(ties.count, GROUND))
+    places = np.asarray(found.views.frame.from_geodetic(ground))
+    sigma = np.array([float(TIE_ERRORS.registration)] * 2 + [float(TIE_ERRORS.terrain)])
+    for k, place in enumerate(places):
+        J = derivative(images.centre[row], images.R_frame_from_camera[row], place) / float(ties.pixel_sigma)
+        at = np.r_[6 * row : 6 * row + 6, of_map + 3 * k : of_map + 3 * k + 3]
+        normal[np.ix_(at, at)] += J.T @ J
+        # The map shows the point plus the shift; its height is that of the terrain.
+        by = np.zeros((3, 5))
+        by[:, :3], by[0, 3], by[1, 4] = np.diag(1.0 / sigma), 1.0 / sigma[0], 1.0 / sigma[1]
+        at = np.r_[of_map + 3 * k : of_map + 3 * k + 3, shift, shift + 1]
+        normal[np.ix_(at, at)] += by.T @ by
+    normal[shift:, shift:] += np.eye(2) / float(TIE_ERRORS.shift) ** 2
+    covariance = np.linalg.inv(normal)
+    wanted = np.r_[:first, shift, shift + 1]
+    return covariance[np.ix_(wanted, wanted)]
+
+
+def test_covariance_is_that_of_dense_least_squares() -> None:
+    of = drawn(0, COUNT, disturbed=False)  # so that the loss of the registration weighs no tie less
+    registration = registered(of, ROW)
+    found = correct(of.given, of.seen, control=control_of(of, {ROW: registration}))
+    expected = dense(found, prior_of(of.given), registration.ties, ROW)
+    scale = np.sqrt(np.diagonal(expected))
+    columns = [name for _, name in found.adjustment.columns]
+    own = np.r_[: 6 * COUNT, columns.index("map: shift east"), columns.index("map: shift north")]
+    obtained = found.adjustment.covariance[np.ix_(own, own)]
+    obtained[:, -2:] *= float(TIE_ERRORS.shift)
+    obtained[-2:] *= float(TIE_ERRORS.shift)
+    assert np.max(np.abs(obtained - expected) / np.outer(scale, scale)) < 2e-3
+
+
+def test_errors_are_as_predicted() -> None:
+    """Over 8 draws with two registered images: squared errors by their covariance are chi-square, of the poses and of
+    the map's shift, and positions are several times as good as without a map."""
+    squares, shifts, before, after = 0.0, 0.0, [], []
+    for seed in range(SEEDS):
+        of = drawn(seed, COUNT)
+        found = correct(of.given, of.seen, control=control_of(of, {ROW: registered(of, ROW), 7: registered(of, 7)}))
+        assert not found.refused
+        adjusted = found.adjustment
+        errors = errors_of(of, found.names, adjusted.images.centre, adjusted.images.R_frame_from_camera)
+        squares += errors.ravel() @ np.linalg.solve(adjusted.covariance[: 6 * COUNT, : 6 * COUNT], errors.ravel())
+        of_shift = [adjusted.common[f"map: shift {axis}"] for axis in ("east", "north")]
+        size = float(TIE_ERRORS.shift)
+        shifts += sum(
+            ((value - true / size) / left) ** 2 for (value, left), true in zip(of_shift, of.shift, strict=True)
+        )
+        before.append(errors_of(of, found.names, of.given.centre, of.given.R_frame_from_camera)[:, :3])
+        after.append(errors[:, :3])
+    freedom = 6 * COUNT * SEEDS
+    assert abs(squares - freedom) < 3.0 * np.sqrt(2.0 * freedom)
+    assert shifts < 2 * SEEDS + 3.0 * np.sqrt(4.0 * SEEDS)
+    assert np.linalg.norm(after) < 0.6 * np.linalg.norm(before)
+
+
+def test_uncertainty_grows_with_the_distance_from_the_registered_image() -> None:
+    of = drawn(1, COUNT)
+    loose = (
+        sources.Position.from_ned(north=20.0, east=20.0, down=20.0),
+        sources.Attitude.from_degrees(heading=2.0, pitch=2.0, roll=2.0),
+    )
+    given = views_of([one.motion for one in of.true.exposure], loose)
+    exact = TieErrors(registration=0.1, terrain=0.1)
+    registration = registered(replace(of, given=given, shift=np.zeros(2)), 0, exact)
+    control = MapControl.of(given, {"image 00": registration}, TERRAIN)
+    found = correct(given, of.seen, control=control)
+    size = np.linalg.norm(found.adjustment.sigma_of_images[:, :3], axis=1)
+    assert np.all(np.diff(size[1:]) > 0.0)
+    assert size[8] > 2.0 * size[1]
+    navigation = np.sqrt(np.diagonal(given.covariance, axis1=1, axis2=2))
+    assert np.all(found.adjustment.sigma_of_images[:, :3] < navigation[:, :3])
+    free = correct(given, of.seen)
+    assert np.all(size < np.linalg.norm(free.adjustment.sigma_of_images[:, :3], axis=1))
+
+
+def test_without_a_map_the_common_shift_keeps_its_prior() -> None:
+    of = drawn(0, COUNT)
+    free = correct(of.given, of.seen)
+    tied = correct(of.given, of.seen, control=control_of(of, {ROW: registered(of, ROW)}))
+    for axis in ("north", "east", "down"):
+        assert free.adjustment.common[f"position 2: {axis}"][1] > 0.98
+        assert tied.adjustment.common[f"position 2: {axis}"][1] < 0.5
+    assert np.all(tied.sigma_of_mean < 0.5 * free.sigma_of_mean)
+    assert np.all(tied.sigma_of_mean[:2] > float(TIE_ERRORS.shift))  # the map's own shift stays
+    assert "Registered to the map: image 02" in tied.words()
+    assert "shift of all positions" in free.words()
+
+
+def test_wrong_registrations_are_left_out() -> None:
+    of = drawn(3, COUNT)
+    good = {ROW: registered(of, ROW), 8: registered(of, 8)}
+    wrong = registered(of, 6, blunder=(6.0, 0.0))  # well within the navigation's errors
+    found = correct(of.given, of.seen, control=control_of(of, {**good, 6: wrong}))
+    assert list(found.refused) == ["image 06"]
+    assert found.control is not None
+    assert found.control.names == ["image 02", "image 08"]
+    expected = correct(of.given, of.seen, control=control_of(of, good))
+    assert np.allclose(found.moved, expected.moved, atol=1e-6)
+    assert "image 06" in found.words()
+    # Of two that contradict each other nothing tells which one is wrong.
+    both = correct(of.given, of.seen, control=control_of(of, {ROW: good[ROW], 6: wrong}))
+    assert sorted(both.refused) == ["image 02", "image 06"]
+    assert both.control is None
+    assert np.allclose(both.moved, correct(of.given, of.seen).moved, atol=1e-9)
+    # One alone is held against the navigation of all images.
+    far = registered(of, ROW, blunder=(40.0, 0.0))
+    assert list(correct(of.given, of.seen, control=control_of(of, {ROW: far})).refused) == ["image 02"]
+
+
+def test_images_without_ties_do_not_carry_the_map() -> None:
+    of = drawn(0, COUNT)
+    cut = of.seen.of(of.seen.image != "image 02").seen_often()
+    found = correct(of.given, cut, control=control_of(of, {ROW: registered(of, ROW)}))
+    assert "no tie points join" in found.refused["image 02"]
+    assert found.unconnected == ["image 02"]
+
+
+def test_terrain_errors_are_common_where_they_are_stated_so() -> None:
+    """A bias of the terrain stays: no map point shows it."""
+    of = drawn(0, COUNT)
+    registration = registered(of, ROW)
+    bias = sources.TerrainHeight.from_metres(1.5)
+    update = replace(registration.update, errors=ErrorModel((*ERRORS, bias)))
+    biased = replace(registration, update=update)
+    found, plain = (
+        correct(of.given, of.seen, control=control_of(of, {ROW: one})).sigma_of_mean for one in (biased, registration)
+    )
+    of_navigation = OFFSET**2 + POSITION**2 / COUNT
+    of_map = 1.0 / (1.0 / plain[2] ** 2 - 1.0 / of_navigation)
+    assert np.isclose(1.0 / found[2] ** 2, 1.0 / of_navigation + 1.0 / (of_map + 1.5**2), rtol=0.05)
+
+
+def test_correlated_heights_average_less_than_independent_ones() -> None:
+    of = drawn(0, COUNT)
+    field = sources.TerrainField.of_variograms(gaussian=[(1.0, 300.0)])
+    errors = TieErrors(registration=0.1, terrain_field=field), TieErrors(registration=0.1, terrain=1.0)
+    sizes = []
+    for one in errors:
+        registration = replace(registered(of, ROW), tie_errors=one)
+        sizes.append(correct(of.given, of.seen, control=control_of(of, {ROW: registration})).sigma_of_mean[2])
+    assert sizes[0] > 2.0 * sizes[1]
+
+
+def test_control_that_cannot_be_used_is_refused() -> None:
+    of = drawn(0, COUNT)
+    good = registered(of, ROW)
+    lost = Registration(Outcome.few_agree, SENSOR, good.shot, TERRAIN, None, TIE_ERRORS, None, ())
+    other = registered(of, 5, TieErrors(registration=0.4, shift=5.0))
+    with pytest.raises(ValueError, match="no registered image"):
+        MapControl.of(of.given, {}, TERRAIN)
+    with pytest.raises(ValueError, match="not among the views"):
+        MapControl.of(of.given, {"elsewhere": good}, TERRAIN)
+    with pytest.raises(ValueError, match="image 02 is not registered: few_agree"):
+        control_of(of, {ROW: lost})
+    with pytest.raises(ValueError, match="different standard deviations of the map's shift"):
+        control_of(of, {ROW: good, 5: other})
+    with pytest.raises(TypeError, match="control"):
+        correct(of.given, of.seen, control={"image 02": good})  # pyright: ignore
