@@ -292,7 +292,7 @@ def _fits(given: Solved, name: str, measured: Measured) -> bool:
     used = np.any(J != 0.0, axis=1)
     J, r = J[used], r[used]
     covariance = np.eye(len(r)) + J @ given.covariance[np.ix_(own, own)] @ J.T
-    return chance(r, covariance) >= np.log(IMPROBABLE)
+    return bool(chance(r, covariance) >= np.log(IMPROBABLE))
 
 
 def _checked(found: Solved, name: str) -> Solved:

@@ -24,6 +24,7 @@ CLOSE_ENOUGH, ROUGHLY = 1e-8, 1e-3  # half the squared length of a step in stand
 PARALLEL = 1e-6  # least over largest sensitivity of a point: less, and its rays are parallel
 LEAST_SPREAD = 1e-300
 MEDIAN = 1.177  # of the length of two normal numbers
+SLIGHT = 1e-9  # sine of an angle: below it the angle is its sine
 POSE = 6
 
 
@@ -529,14 +530,15 @@ def inverse(H: np.ndarray) -> np.ndarray:
 
 
 def _vector(R: np.ndarray) -> np.ndarray:
-    """Rotation vector of a rotation."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(R).as_rotvec()
+    """Rotation vector of a rotation, by less than half a turn."""
+    twice = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = 0.5 * float(np.sqrt(twice @ twice)), 0.5 * (float(np.trace(R)) - 1.0)
+    return 0.5 * twice * (np.arctan2(sine, cosine) / sine if sine > SLIGHT else 1.0)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
+    """Rotation of a rotation vector."""
+    from scipy.spatial.transform import Rotation  # submodules load lazily
 
     return Rotation.from_rotvec(vector).as_matrix()
 

@@ -96,7 +96,7 @@ def pixels(centre: np.ndarray, R: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
 
 def drawn(seed: int, count: int = 12, longest: int = 5, points: int = 14, disturbed: bool = True) -> Drawn:
-    """A strip with drawn errors; each ground point is measured in up to `longest` images, one after the other.
+    """A strip with drawn errors; each ground point is measured in some of `longest` images, one after the other.
 
     `points` ground points lie around the nadir of each image, at heights of +- 10 m about the terrain.
     """
@@ -114,12 +114,13 @@ def drawn(seed: int, count: int = 12, longest: int = 5, points: int = 14, distur
     )
     level = np.asarray(true.frame.from_geodetic(shots(1)[0].pose.position))[2] - ABOVE
     ground[:, 2] = level + layout.uniform(-10.0, 10.0, len(ground))
-    seen = np.zeros(len(ground), int)
+    first = np.full(len(ground), count)
     rows = []
     for k in range(count):
         uv = pixels(true.centre[k], true.R_frame_from_camera[k], ground)
-        inside = np.all((uv > 0.0) & (uv < [WIDTH - 1, HEIGHT - 1]), axis=1) & (seen < longest)
-        seen += inside
+        inside = np.all((uv > 0.0) & (uv < [WIDTH - 1, HEIGHT - 1]), axis=1)
+        first[inside] = np.minimum(first[inside], k)
+        inside &= k < first + longest
         uv = uv + PIXEL * disturbed * rng.normal(size=uv.shape)
         rows += [(str(true.name[k]), f"tie {number}", uv[number]) for number in np.flatnonzero(inside)]
     image, point, uv = zip(*rows, strict=True)
