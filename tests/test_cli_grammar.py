@@ -206,6 +206,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--points 100 --least-correlation 0.6 --no-self-calibrate --crs EPSG:32616 --dem-datum EPSG:5773 -o out --json "
     "--debug",
     f"adjust FILE --dem dem.tif {READING} -o out",
+    "adjust FILE --images i --dem dem.tif --reference map.tif --reference-sigma 0.5 --register a --register b -o out",
     f"footprint FILE --dem dem.tif {FILE}",
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",

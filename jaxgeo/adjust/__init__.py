@@ -13,6 +13,7 @@ from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.intersection import Intersection, forward_intersection
 from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tukey
 from jaxgeo.adjust.navigation import Navigation
+from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.rank_defects import DeficientBlock, Direction
 from jaxgeo.adjust.records import ImagePoints
 from jaxgeo.adjust.resection import resect_block, resect_image
@@ -52,6 +53,7 @@ __all__ = [
     "Navigation",
     "NotConverged",
     "Parameter",
+    "PoseRows",
     "Prior",
     "Reliability",
     "Screen",

@@ -60,7 +60,7 @@ class Navigation:
 
     def of(self, rows: np.ndarray) -> Navigation:
         """That of some images."""
-        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in _ARRAYS}
         common = {name: errors[rows] for name, errors in self.common.items()}
         measured = None if self.pose_rows is None else self.pose_rows.of(rows)
         return Navigation(**arrays, mounts=self.mounts, common=common, pose_rows=measured)
@@ -126,7 +126,7 @@ def joined(parts: list[Navigation]) -> Navigation:
     """
     if any(part.pose_rows is not None for part in parts):
         raise ValueError("navigation with pose_rows cannot be joined; join the parts first, then add the rows.")
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     mounts = {name: mount for part in parts for name, mount in part.mounts.items()}
     names = dict.fromkeys(name for part in parts for name in part.common)
     none = [np.zeros((len(part.position), 6)) for part in parts]

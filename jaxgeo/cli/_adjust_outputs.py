@@ -101,6 +101,8 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
         "turned_rms_deg": float(np.sqrt(np.mean(degrees**2))),
         "sigma_of_mean_position_m": found.sigma_of_mean.tolist(),
         "doubtful": found.doubtful,
+        "registered": [] if found.control is None else found.control.names,
+        "registrations_refused": found.refused,
         "parameters": [
             {"of": p.whose, "name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit}
             for p in adjustment.parameters

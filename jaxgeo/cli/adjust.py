@@ -1,10 +1,11 @@
-"""`jaxgeo adjust`: mutual correction of overlapping images by tie points, without a map."""
+"""`jaxgeo adjust`: mutual correction of overlapping images by tie points, without a map or with some on a map."""
 
 from __future__ import annotations
 
 import filecmp
 import pathlib
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import typer
 
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._adjust_map import MapOptions, rows_to_register
+from jaxgeo.cli._adjust_map import on_map as registered_to
 from jaxgeo.cli._adjust_outputs import FILES, content_of, print_summary, write_files
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -24,7 +27,7 @@ from jaxgeo.cli._screen import print_note, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
-    from jaxgeo.ties import Correction, KeptMatches, Matching, Ties, Views
+    from jaxgeo.ties import Correction, KeptMatches, MapControl, Matching, Ties, Views
 
 MATCHES = "matches"  # folder in that of the results, with those of the pairs
 INTERIOR = 0.005, 0.002, 0.002  # of the focal length: sigmas of focal length and principal point, if none is stated
@@ -70,6 +73,7 @@ def adjust_command(
             "--crs", metavar="CRS", help="Map of the orientations (x, y, z, omega, phi, kappa); default: lat, lon."
         ),
     ] = None,
+    on_map: MapOptions = MapOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
@@ -77,14 +81,15 @@ def adjust_command(
 ) -> None:
     """Correct positions and attitudes of overlapping images by tie points among them; no map is needed.
 
-    The navigation is the prior, with the errors that the files state. Writes orientations.csv, ties.csv,
-    and models of OpenSfM and COLMAP.
+    The navigation is the prior, with the errors that the files state. With --reference, images are registered to a map
+    too, and tie points carry it to the others. Writes orientations.csv, ties.csv, and models of OpenSfM and COLMAP.
     """
     inputs = given_options(locals())
     with report_errors(debug):
         given = OrientedImages(files, None, images, reading)
         given.check()
         _check_map(crs)
+        on_map.check()
         if not given.are_several:
             if not files[0].exists() and ":" not in f"{files[0]}":
                 raise UserError(f"{files[0]}: there is no such file or folder.")
@@ -92,7 +97,11 @@ def adjust_command(
                 f"{files[0]}: adjust needs two images or more; give a folder of images, or a file of poses with "
                 f"--images FOLDER."
             )
-        check_no_input("--output", [output / name for name in FILES], [*given.inputs, *terrain_files(dem, reading_dem)])
+        from jaxgeo.io.paths import files_behind
+
+        maps = [] if on_map.reference is None else files_behind(on_map.reference, reading_dem.reach)
+        inputs_read = [*given.inputs, *maps, *terrain_files(dem, reading_dem)]
+        check_no_input("--output", [output / name for name in FILES], inputs_read)
         check_writable(output)
         began = time.perf_counter()
         compile_quickly()
@@ -108,6 +117,7 @@ def adjust_command(
                 f"--output {output}: the images are there; give another folder, such as {output / 'adjusted'}."
             )
         _check_sizes(views, paths, reading_dem)
+        chosen = [] if on_map.reference is None else rows_to_register(views, on_map)
         exposures = views.exposure
         terrain = read_terrain(
             dem, reading_dem, lambda: view_of_shots(exposures[0].sensor, [one.motion for one in exposures])
@@ -116,12 +126,21 @@ def adjust_command(
         ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
-        found, written = None, []
+        found, written, of_map = None, [], None
         if ties.observations is not None and len(ties.parts[0]) > 1:
+            if chosen:
+                read = partial(_image, paths, reading_dem)
+                of_map = registered_to(views, chosen, read, errors, terrain, dem_sigma, on_map, reading_dem.reach)
+                assumed = [*assumed, *of_map.assumed]
+                for one in of_map.assumed:
+                    print_note(f"assumed: {one}")
             with working("adjusting"):
-                found = _corrected(views, ties, _interior(views, errors) if self_calibrate else None)
+                unknowns = _interior(views, errors) if self_calibrate else None
+                found = _corrected(views, ties, unknowns, None if of_map is None else of_map.control)
             written = [f"{output / name}" for name in write_files(output, found, crs)]
         content = content_of(views, ties, found, written, time.perf_counter() - began)
+        if of_map is not None:
+            content["registrations"] = of_map.outcomes
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": assumed, **content})
         else:
@@ -192,14 +211,7 @@ def _tied(
     points: int,
     kept: KeptMatches,
 ) -> Ties:
-    from jaxgeo.io.images import read_image
     from jaxgeo.ties import Pictures, find_ties
-
-    def read(row: int) -> tuple[Any, Any]:
-        with translate_reach_errors():
-            return read_image(
-                paths[row], allow_remote=bool(reading.allow_remote), allow_outside=bool(reading.allow_outside)
-            )
 
     try:
         with progress_bar() as bar:
@@ -207,7 +219,7 @@ def _tied(
             return find_ties(
                 views,
                 terrain,
-                Pictures(read),
+                Pictures(partial(_image, paths, reading)),
                 how,
                 points=points,
                 kept=kept,
@@ -217,6 +229,16 @@ def _tied(
             )
     except ValueError as error:
         raise UserError(_as_options(f"{error}")) from error
+
+
+def _image(paths: list[pathlib.Path], reading: DemOptions, row: int) -> tuple[Any, Any]:
+    """Values and mask of an image."""
+    from jaxgeo.io.images import read_image
+
+    with translate_reach_errors():
+        return read_image(
+            paths[row], allow_remote=bool(reading.allow_remote), allow_outside=bool(reading.allow_outside)
+        )
 
 
 def _matching(dem_sigma: float, least_correlation: float, points: int) -> Matching:
@@ -285,11 +307,11 @@ def _interior(views: Views, errors: list[Any]) -> Unknowns:
     return Unknowns(focal=focal, principal=principal)
 
 
-def _corrected(views: Views, ties: Ties, unknowns: Unknowns | None) -> Correction:
+def _corrected(views: Views, ties: Ties, unknowns: Unknowns | None, control: MapControl | None) -> Correction:
     from jaxgeo.adjust import DeficientBlock, NotConverged
     from jaxgeo.ties import correct
 
     try:
-        return correct(views, ties, unknowns)
+        return correct(views, ties, unknowns, control=control)
     except (DeficientBlock, NotConverged, ValueError) as error:
         raise UserError(f"the adjustment failed: {error}") from error

@@ -58,14 +58,14 @@ def drifting(frame: LocalFrame, exposure: Exposure, model: ErrorModel, name: str
         first += len(source.axes)
         seen[source.label] = seen.get(source.label, 0) + 1
         label = source.label if seen[source.label] == 1 else f"{source.label} {seen[source.label]}"
-        steady, drift, alone = _shares(source.sharing, f"image {name}: {source.label}")
+        steady, drift, alone, seconds = _shares(source.sharing, f"image {name}: {source.label}")
         own += alone * effects @ effects.T
         for k, axis in enumerate(source.axes):
             if steady:
                 constant[f"{label}: {axis}"] = np.sqrt(steady) * effects[:, k]
             if drift:
                 fading[f"{label}: {axis}, fading"] = np.sqrt(drift) * effects[:, k]
-                duration.append(float(np.asarray(source.sharing.duration)))
+                duration.append(seconds)
     return Drifting(
         centre,
         R,
@@ -78,12 +78,13 @@ def drifting(frame: LocalFrame, exposure: Exposure, model: ErrorModel, name: str
     )
 
 
-def _shares(sharing: object, what: str) -> tuple[float, float, float]:
-    """Shares of the variance of an error that are constant, that fade, and that are independent between images."""
+def _shares(sharing: object, what: str) -> tuple[float, float, float, float]:
+    """Shares of the variance of an error that are constant, that fade, and that are independent between images; and the
+    correlation time in s of what fades."""
     if isinstance(sharing, PerImage | PerMeasurement):
-        return 0.0, 0.0, 1.0
+        return 0.0, 0.0, 1.0, np.inf
     if isinstance(sharing, PerFlight | Systematic):
-        return 1.0, 0.0, 0.0
+        return 1.0, 0.0, 0.0, np.inf
     if not isinstance(sharing, TimeCorrelated):
         raise ValueError(
             f"{what}: an error with sharing {type(sharing).__name__} has no recursion; use PerImage, PerFlight, "
@@ -95,7 +96,7 @@ def _shares(sharing: object, what: str) -> tuple[float, float, float]:
         raise ValueError(
             f"{what}: TimeCorrelated with beta = {beta:g} is no first-order Gauss-Markov process; give beta=0."
         )
-    return strength * alpha, strength * (1.0 - alpha), 1.0 - strength
+    return strength * alpha, strength * (1.0 - alpha), 1.0 - strength, float(np.asarray(sharing.duration))
 
 
 def transition(duration: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._arguments import check_mapped_terrain
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Scalar, Vector3
@@ -25,7 +26,7 @@ from jaxgeo.register.registration import Registration
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints, checked_ties, padded
 from jaxgeo.rotations import R_from_rotation_vector
-from jaxgeo.sensor import FrameCamera, Sensor, Shot
+from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.ties.views import Views
 from jaxgeo.uncertainty import ErrorModel, sources
@@ -171,8 +172,9 @@ def measured_in(
     weights = np.zeros(len(all_ties.used))
     weights[: ties.count] = np.asarray(update.weights)
     ground = ErrorModel(tuple(one for one in update.errors.sources if isinstance(one, OF_GROUND)))
+    check_mapped_terrain(terrain)
     exposure = Exposure(update.sensor, update.shot, jnp.zeros(()), update.atmosphere)
-    inputs = as_float64(ModelInputs(exposure, terrain=of_arrays(terrain)), "terrain")
+    inputs = ModelInputs(exposure, terrain=of_arrays(terrain))
     has_air = update.atmosphere is not None
     given = (all_ties, jnp.asarray(weights), tie_errors)
     lens = jnp.asarray(interior_of(camera))
@@ -182,7 +184,8 @@ def measured_in(
     rows = _whitened(rows[used], own[used], by_up[used], heights)
     columns = rows.shape[1] - 1
     size = 6 + len(lens)
-    rows = np.linalg.qr(np.concatenate([rows, np.zeros((columns + 1, columns + 1))]), mode="r")[:columns]
+    longer = np.concatenate([rows, np.zeros((columns + 1, columns + 1))])
+    rows = np.asarray(np.linalg.qr(longer, mode="r"))[:columns]
     labels = (*SHIFT, *(f"map: {axis}" for axis in ground.axes))
     common = {label: rows[:, size + k] for k, label in enumerate(labels) if np.any(rows[:, size + k] != 0.0)}
     return Measured(centre, R, rows[:, -1], rows[:, :6], rows[:, 6:size], common, ties.count)
@@ -217,11 +220,12 @@ def _rows(
     Rows are derivatives of predicted less measured pixels by pose, lens and common numbers, and the offset."""
     ties, weights, errors = given
     exposure = inputs.exposure
-    sight = exposure.sensor.sight(exposure.motion)
+    shot: Any = exposure.motion
+    sight = exposure.sensor.sight(shot)
     centre, R = frame.from_ecef(sight.centre), frame.R_ecef_from_local.T @ sight.R_ecef_from_camera
     root = ground.factor() if ground.size else jnp.zeros((0, 0))
 
-    def one(uv: Any, lat: Scalar, lon: Scalar, height: Scalar, rise: Float[Array, "2"] | None) -> tuple[Array, ...]:
+    def one(uv: Any, lat: Scalar, lon: Scalar, height: Scalar, rise: Any = None) -> tuple[Array, ...]:
         position = Geodetic(lat=lat, lon=lon, height=height)
         R_enu, p_ecef = R_ecef_from_enu(position), WGS84.to_ecef(position)
         if rise is None:
@@ -252,9 +256,8 @@ def _rows(
         rows = jnp.concatenate([by[:, :-3], by_shift, by_ground, offset[:, None]], axis=1)
         return rows, by_map, by_up, p_ecef
 
-    rows, by_map, by_up, p_ecef = jax.vmap(lambda *each: one(*each, None) if ties.rise is None else one(*each))(
-        *(ties.uv, ties.lat, ties.lon, ties.height, *(() if ties.rise is None else (ties.rise,)))
-    )
+    planes = () if ties.rise is None else (ties.rise,)
+    rows, by_map, by_up, p_ecef = jax.vmap(one)(ties.uv, ties.lat, ties.lon, ties.height, *planes)
     place = ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None]
     own = jnp.einsum("tij,tjk,tlk->til", by_map, place, by_map) + ties.pixel_sigma**2 * jnp.eye(2)[None]
     own = own + jnp.asarray(errors.terrain) ** 2 * by_up[:, :, None] * by_up[:, None, :]
@@ -271,8 +274,9 @@ def _rows(
 def _bending(inputs: ModelInputs, p_ecef: Vector3) -> Float[Array, "2"]:
     """Change of a point's pixel by refraction, px."""
     exposure = inputs.exposure
-    sensor: Sensor = exposure.sensor
-    both = [sensor.project_ecef(exposure.motion, p_ecef, air)[0] for air in (exposure.atmosphere, None)]
+    sensor, shot = exposure.sensor, exposure.motion
+    assert isinstance(shot, Shot)
+    both = [sensor.project_ecef(shot, p_ecef, air)[0] for air in (exposure.atmosphere, None)]
     return both[0] - both[1]
 
 

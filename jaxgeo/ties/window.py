@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._blas_threads import one_thread
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo.adjust.collinearity import pixel_of
 from jaxgeo.sensor import FrameCamera
 from jaxgeo.ties.drift import Drifting, transition
 from jaxgeo.ties.map_control import Measured
 
-CHUNK = 256  # measurements per call: one size, so that other counts need no compilation
+CHUNK = 1024  # measurements per call: one size, so that other counts need no compilation
 WIDTH = 3.0  # standard deviations: of the robust (Cauchy) loss
 OUTLIER = 4.0  # standard deviations: larger residuals are left out
 STEPS, HALVINGS, ROUNDS = 25, 6, 4
@@ -388,6 +389,7 @@ class Solved(NamedTuple):
     converged: bool
 
 
+@one_thread()
 def solved(window: Window) -> Solved:
     """Robust solution (Cauchy), then least squares without measurements off by more than `OUTLIER`."""
     rows = Rows.of(window)

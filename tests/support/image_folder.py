@@ -5,11 +5,14 @@ from __future__ import annotations
 import pathlib
 from dataclasses import dataclass
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
 from rasterio.transform import Affine
 
-from jaxgeo import Exposure
+from jaxgeo import Exposure, Geodetic
+from jaxgeo.earth import WGS84
 from jaxgeo.io import read_dem, read_observations
 from jaxgeo.ortho import Orthoimage, render
 from jaxgeo.terrain import TangentGrid
@@ -27,10 +30,12 @@ EXIF = {0x920A: 8.8, 0xA002: SIZE[0], 0xA003: SIZE[1]}
 
 @dataclass(frozen=True)
 class ImageFolder:
-    """The folder of images, the elevation model, the names of the images, and their true exposures."""
+    """The folder of images, the elevation model, the map that they show, the names of the images, and their true
+    exposures."""
 
     images: pathlib.Path
     dem: pathlib.Path
+    map: pathlib.Path
     names: list[str]
     true: list[Exposure]
 
@@ -57,8 +62,6 @@ def _written(folder: pathlib.Path, name: str, pose: np.ndarray, grey: np.ndarray
 
 
 def _texture(seed: int) -> Orthoimage:
-    from jaxgeo import Geodetic
-
     rng = np.random.default_rng(seed)
     grid = TangentGrid.centred(Geodetic.from_degrees(lat=LAT, lon=LON, height=0.0), spacing=(CELL, CELL), shape=SHAPE)
     parts = [scipy.ndimage.gaussian_filter(rng.normal(size=SHAPE), width) for width in (1.0, 2.5, 6.0)]
@@ -97,7 +100,22 @@ def write_folder(root: pathlib.Path, count: int = 4, seed: int = 0) -> ImageFold
         north, east, up = METRES * rng.normal(size=3)
         off = np.array([north / 111_180.0, east / 76_060.0, up, *(DEGREES * rng.normal(size=3))])
         _written(images, name, pose + off, np.clip(np.rint(grey), 0, 255).astype(np.uint8))
-    return ImageFolder(images, dem, names, true)
+    return ImageFolder(images, dem, _map(root / "map.tif", texture), names, true)
+
+
+def _map(path: pathlib.Path, texture: Orthoimage) -> pathlib.Path:
+    """The texture in latitudes and longitudes."""
+    rows, cols = 0.9 * np.array(SHAPE)
+    step = CELL / np.array([76_060.0, 111_180.0])
+    corner = np.array([LON - 0.5 * cols * step[0], LAT + 0.5 * rows * step[1]])
+    lon = corner[0] + step[0] * (np.arange(int(cols)) + 0.5)
+    lat = corner[1] - step[1] * (np.arange(int(rows)) + 0.5)
+    lat, lon = (np.deg2rad(x) for x in np.meshgrid(lat, lon, indexing="ij"))
+    place = Geodetic(lat=jnp.asarray(lat.ravel()), lon=jnp.asarray(lon.ravel()), height=jnp.zeros(lat.size))
+    at = jax.vmap(lambda one: texture.grid.rowcol(WGS84.normal_and_height(WGS84.to_ecef(one))[0]))(place)
+    values = scipy.ndimage.map_coordinates(np.asarray(texture.values[0], float), np.asarray(at).T, order=1)
+    affine = Affine(step[0], 0.0, corner[0], 0.0, -step[1], corner[1])
+    return write(path, values.reshape(lat.shape).astype(np.float32), affine=affine)
 
 
 def _made(folder: pathlib.Path) -> pathlib.Path:

@@ -67,6 +67,7 @@ def views_of(given: list[Shot], errors: Any = ERRORS) -> Views:
 def moved(shot: Shot, model: ErrorModel, error: np.ndarray) -> Shot:
     """The shot whose camera is where errors of the model put it, the mount's errors in its attitude."""
     inputs = model.moved(ModelInputs(Exposure(SENSOR, shot), terrain=TERRAIN), jnp.asarray(error)).exposure
+    assert isinstance(inputs.motion, Shot)
     sight = inputs.sensor.sight(inputs.motion)
     position = inputs.motion.pose.position
     R_body_from_camera = np.asarray(SENSOR.mount.R_body_from_base) @ np.asarray(SENSOR.mount.R_head_from_camera)

@@ -92,6 +92,57 @@ def test_summary_has_what_was_found(here: ImageFolder, done) -> None:
     assert len(ties) - 1 == content["measurements"]["used"]
 
 
+def test_images_on_a_map_carry_it_to_the_others(here: ImageFolder, done, tmp_path: pathlib.Path) -> None:
+    """Two images are asked for, of which one shows noise: all that are tied gain from the other."""
+    chosen = ("--register", here.names[0], "--register", here.names[4])
+    result = run(
+        *here.arguments,
+        *OPTIONS,
+        "--reference",
+        here.map,
+        "--reference-sigma",
+        "0.3",
+        *chosen,
+        "-o",
+        tmp_path,
+        "--json",
+    )
+    assert result.exit_code == 0, result.output
+    content = json.loads(result.stdout)
+    assert content["registered"] == [here.names[0]]
+    assert content["registrations"][here.names[0]] == "registered"
+    assert content["registrations"][here.names[4]] != "registered"
+    assert f"not registered: {here.names[4]}" in result.stderr
+    plain, found = (
+        read_orientations(out / "orientations.csv", height_datum="ellipsoid") for out in (done[0], tmp_path)
+    )
+    assert plain.sigma is not None
+    assert found.sigma is not None
+    assert found.names.tolist() == plain.names.tolist()
+    assert np.all(found.sigma[:, :2] < 0.7 * plain.sigma[:, :2])
+    assert np.all(found.sigma[:, :2] > 0.3)  # the map's own
+    away = away_of(here, found)
+    assert np.all(np.abs(away[:, :3]) < 3.5 * found.sigma[:, [1, 0, 2]])
+    assert "Registered to the map: image_0.jpg" in " ".join(content["words"])
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (("--reference-sigma", "1"), "--reference-sigma is for images that are registered; give --reference FILE too"),
+        (("--register", "a.jpg"), "--register is for images that are registered; give --reference FILE too"),
+        (("--reference", "map.tif", "--reference-sigma", "-1"), "--reference-sigma"),
+    ],
+)
+def test_options_of_the_map_are_checked_first(here: ImageFolder, tmp_path: pathlib.Path, options, words) -> None:
+    assert_refused(run(*here.arguments, *OPTIONS, *options, "-o", tmp_path / "out"), words)
+
+
+def test_an_image_that_is_not_there_is_not_registered(here: ImageFolder, tmp_path: pathlib.Path) -> None:
+    result = run(*here.arguments, *OPTIONS, "--reference", here.map, "--register", "x.jpg", "-o", tmp_path / "out")
+    assert_refused(result, "--register x.jpg: there is no such image; there are image_0.jpg")
+
+
 def sights_of(observed) -> tuple[np.ndarray, np.ndarray]:
     """(perspective centres (n, 3), rotations (n, 3, 3) of the cameras) in ECEF."""
     each = [observed.at(row)[0].exposure for row in range(len(observed))]

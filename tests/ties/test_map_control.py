@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,11 +22,16 @@ from support.registered_strip import (
     errors_of,
     pixels,
     registered,
+    shots,
     views_of,
 )
 
-from jaxgeo.register import Outcome, Registration, TieErrors, TiePoints
+from jaxgeo import Atmosphere, Exposure, Pose, Shot, locate
+from jaxgeo.adjust import LeastSquares
+from jaxgeo.io import example_dem
+from jaxgeo.register import Outcome, Registration, TieErrors, TiePoints, update_orientation
 from jaxgeo.ties import Correction, MapControl, Views, correct
+from jaxgeo.ties.views import oriented
 from jaxgeo.uncertainty import ErrorModel, sources
 
 pytestmark = pytest.mark.costly
@@ -137,7 +144,7 @@ def test_uncertainty_grows_with_the_distance_from_the_registered_image() -> None
         sources.Position.from_ned(north=20.0, east=20.0, down=20.0),
         sources.Attitude.from_degrees(heading=2.0, pitch=2.0, roll=2.0),
     )
-    given = views_of([one.motion for one in of.true.exposure], loose)
+    given = views_of(shots(COUNT), loose)
     exact = TieErrors(registration=0.1, terrain=0.1)
     registration = registered(replace(of, given=given, shift=np.zeros(2)), 0, exact)
     control = MapControl.of(given, {"image 00": registration}, TERRAIN)
@@ -234,3 +241,34 @@ def test_control_that_cannot_be_used_is_refused() -> None:
         control_of(of, {ROW: good, 5: other})
     with pytest.raises(TypeError, match="control"):
         correct(of.given, of.seen, control={"image 02": good})  # pyright: ignore
+
+
+def test_observations_are_those_of_the_orientation_update() -> None:
+    """Over hills, oblique, with refraction and a common error of the terrain: the information of the map's points on
+    the errors of position, attitude, terrain and map is that of the orientation update, posterior less prior."""
+    terrain = example_dem()
+    pose = Pose.from_degrees(lat=36.30, lon=-84.25, height=3000.0, heading=40.0, pitch=25.0, roll=-5.0)
+    shot, air = Shot(pose, np.zeros(0)), Atmosphere()
+    u, v = np.meshgrid(np.linspace(20, 235, 4), np.linspace(15, 175, 4))
+    uv = np.column_stack([u.ravel(), v.ravel()])
+    ground = jax.vmap(lambda one: locate(SENSOR, shot, one, terrain, atmosphere=air).position)(jnp.asarray(uv))
+    errors = (
+        sources.Position.from_ned(north=5.0, east=6.0, down=7.0),
+        sources.Attitude.from_degrees(heading=0.3, pitch=0.2, roll=0.4),
+        sources.TerrainHeight.from_metres(2.0),
+    )
+    tie_errors = TieErrors(registration=1.5, terrain=3.0, shift=4.0)
+    ties = TiePoints(uv, ground, np.broadcast_to(np.array([[0.5, 0.1], [0.1, 0.3]]), (16, 2, 2)), 0.2)
+    options: dict[str, Any] = {"atmosphere": air, "loss": LeastSquares()}
+    update = update_orientation(SENSOR, shot, ties, terrain, ErrorModel(errors), tie_errors, **options)
+    found = Registration(Outcome.registered, update.sensor, update.shot, update.terrain, update, tie_errors, ties, ())
+    views = Views.of(["a", "b"], [Exposure(SENSOR, update.shot)] * 2, [errors] * 2)
+    measured = MapControl.of(views, {"a": found}, terrain).measured["a"]
+    sight = oriented(views.frame, Exposure(SENSOR, update.shot), ErrorModel(errors[:2]))
+    names = "map: terrain height: height", "map: shift east", "map: shift north"
+    common = np.stack([measured.by_common[name] for name in names], 1)
+    rows = np.hstack([measured.by_pose @ np.asarray(sight[2]), common / np.array([2.0, 4.0, 4.0])])
+    expected = np.linalg.inv(np.asarray(update.covariance)) - np.linalg.inv(np.asarray(update.prior.covariance))
+    scale = np.sqrt(np.diagonal(expected))
+    assert np.max(np.abs(rows.T @ rows - expected) / np.outer(scale, scale)) < 2e-3
+    assert np.linalg.norm(measured.offset) < 0.05
