@@ -35,7 +35,7 @@ from jaxgeo.io import (
     read_acquisitions,
 )
 from jaxgeo.ortho import Rectifier
-from jaxgeo.ties import KeptMatches, Pictures
+from jaxgeo.ties import KeptMatches, Pictures, RecursiveCorrection
 from jaxgeo.view import ViewServer
 from tests.support import looks
 from tests.support.drone_image_files import packet, write_image
@@ -99,7 +99,7 @@ def filled(cls: type) -> Any:
     return made
 
 
-SPECIAL = {DemCache, DemFiles, OrthoWriter, Rectifier}  # which have tests of their own below
+SPECIAL = {DemCache, DemFiles, OrthoWriter, Rectifier, RecursiveCorrection}  # which have tests of their own
 OF_A_PROCESS = {
     KeptMatches,
     Making,

@@ -26,6 +26,7 @@ from jaxgeo.ties.window import (
     Solved,
     Window,
     empty,
+    largest_correction,
     map_rows,
     solved,
     with_frame,
@@ -33,6 +34,7 @@ from jaxgeo.ties.window import (
     without_oldest,
 )
 
+LEAST_SHARE = 1e-5  # of the navigation's standard deviation: lower bound of that of an image alone, against rounding
 JOINED = 3  # points that an image must share with others to be connected
 
 
@@ -44,7 +46,9 @@ class FrameEstimate:
     east-north-up frame at the first image; `covariance` (6, 6) is that of their errors, centre in m (frame axes),
     rotation in rad about the camera's axes, and `prior` (6, 6) that of the navigation. `time` in s is that of the shot.
     `ties` measurements of the image count and `left_out` do not fit; it is `connected` if it shares three points or
-    more with others of the window. `registered` says whether its map measurements count, `refused` why they do not.
+    more with others of the window. `sigmas` is the largest correction of its navigation in standard
+    deviations; more than 4 is doubtful. `registered` says whether its map measurements count, `refused` why they do
+    not.
     """
 
     name: str
@@ -54,6 +58,7 @@ class FrameEstimate:
     R_frame_from_camera: np.ndarray
     covariance: np.ndarray
     prior: np.ndarray
+    sigmas: float
     ties: int
     left_out: int
     connected: bool
@@ -83,8 +88,8 @@ class RecursiveCorrection:
     several points: this leaves out what holds them together, and counts nothing twice.
 
     Measurements of points are weighted by a robust loss (Cauchy, as wide as the residuals at first), then left out
-    beyond four standard deviations. `excess` px are added to their standard deviations in quadrature, such as
-    `Correction.excess` of a first part of the sequence.
+    beyond four standard deviations; all of an image are, where less than two fifths of them fit. `excess` px are added
+    to their standard deviations in quadrature, such as `Correction.excess` of a first part of the sequence.
 
     A fixed-lag smoother: Sibley, Matthies and Sukhatme (2010), "Sliding window filter with application to planetary
     landing", sections 2 and 3, with points eliminated by orthogonal projection as in Mourikis and Roumeliotis (2007),
@@ -124,7 +129,8 @@ class RecursiveCorrection:
 
         `final` is then the last estimate of the image that left the window, or None. Raises `ValueError` for an image
         of the window again, a time before that of the last image, other sources than before, points of other images,
-        and a navigation without error of position or attitude; `TypeError` for other cameras than frame cameras and for
+        and a navigation without error of position or attitude; `ArithmeticError` for an update without finite solution,
+        by standard deviations that differ by too much; `TypeError` for other cameras than frame cameras and for
         moving sensors. Nothing is changed by an image that is refused.
         """
         frame, local = self._frame_of(name, exposure, errors, points)
@@ -136,7 +142,7 @@ class RecursiveCorrection:
             window = without_oldest(window)
             refused.pop(final.name, None)
         window = with_names(window, frame.drift.constant)
-        found = _checked(solved(with_frame(window, frame)), name)
+        found = _solved(with_frame(window, frame), name)
         self.frame, self.final, self._solved, self._refused = local, final, found, refused
         self.count += 1
         if measured is not None:
@@ -184,6 +190,7 @@ class RecursiveCorrection:
                     one.R_frame_from_camera,
                     covariance[own, own],
                     one.drift.covariance,
+                    largest_correction(one),
                     used,
                     offered - used,
                     used >= JOINED,
@@ -247,7 +254,8 @@ class RecursiveCorrection:
         zero = np.zeros(len(drift.fading))
         information = np.zeros((POSE, POSE))
         for part, least in ((np.s_[:3], LEAST_POSITION), (np.s_[3:], LEAST_ATTITUDE)):
-            information[part, part] = information_of(drift.own[part, part], least)
+            whole = float(np.sqrt(np.max(np.diagonal(drift.covariance)[part])))
+            information[part, part] = information_of(drift.own[part, part], max(least, LEAST_SHARE * whole))
         return (
             Frame(name, time, same, drift, information, measured, drift.centre, drift.R_frame_from_camera, zero),
             frame,
@@ -258,12 +266,12 @@ class RecursiveCorrection:
         without = self._solved
         window = with_names(without.window, tuple(measured.by_common))
         if window is not without.window:
-            without = solved(window)
+            without = _solved(window, name)
         if _fits(without, name, measured):
-            self._solved = _checked(solved(_with_map(without.window, name, measured)), name)
+            self._solved = _solved(_with_map(without.window, name, measured), name)
             return
         for other in [one.name for one in window.frames if one.measured is not None]:
-            fewer = solved(_with_map(without.window, other, None))
+            fewer = _solved(_with_map(without.window, other, None), name)
             if _fits(fewer, name, measured):
                 self._refused |= {name: UNCLEAR, other: UNCLEAR}
                 self._solved = fewer
@@ -295,11 +303,17 @@ def _fits(given: Solved, name: str, measured: Measured) -> bool:
     return bool(chance(r, covariance) >= np.log(IMPROBABLE))
 
 
-def _checked(found: Solved, name: str) -> Solved:
-    """Raises `ArithmeticError` for a solution that is not finite."""
-    numbers = [found.covariance, *(one.centre for one in found.window.frames)]
-    if not all(np.all(np.isfinite(x)) for x in numbers):
-        raise ArithmeticError(f"the update by image {name!r} is not finite; check its navigation and measurements.")
+def _solved(window: Window, name: str) -> Solved:
+    """The least squares of a window. Raises `ArithmeticError` if they are not finite."""
+    try:
+        found = solved(window)
+    except np.linalg.LinAlgError:
+        found = None
+    if found is None or not np.all(np.isfinite(found.covariance)):
+        raise ArithmeticError(
+            f"the update by image {name!r} has no finite solution; check its navigation, standard deviations that "
+            "differ by more than 1e6 among them, and its measurements."
+        )
     return found
 
 

@@ -23,8 +23,9 @@ OUTLIER = 4.0  # standard deviations: larger residuals are left out
 STEPS, HALVINGS, ROUNDS = 25, 6, 4
 CLOSE_ENOUGH, ROUGHLY = 1e-8, 1e-3  # half the squared length of a step in standard deviations; of the robust solution
 PARALLEL = 1e-6  # least over largest sensitivity of a point: less, and its rays are parallel
-LEAST_SPREAD = 1e-300
+LEAST_SPREAD, LEAST_VARIANCE = 1e-300, 1e-12  # against division by zero; m2 and rad2
 MEDIAN = 1.177  # of the length of two normal numbers
+LEAST_FIT = 0.4  # share of the measurements of an image: if fewer fit, what fits may do so by chance
 SLIGHT = 1e-9  # sine of an angle: below it the angle is its sine
 POSE = 6
 
@@ -145,11 +146,11 @@ class Rows:
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, window: Window, names: set[str] | None = None) -> Rows:
-        """Those of a window, or of some points; in the order of points."""
+    def of(cls, window: Window, names: set[str] | None = None, without: frozenset[int] = frozenset()) -> Rows:
+        """Those of a window, or of some points, without some frames; in the order of points."""
         found: dict[str, list[int]] = {}
         for k, frame in enumerate(window.frames):
-            for name in frame.seen:
+            for name in frame.seen if k not in without else ():
                 if names is None or name in names:
                     found.setdefault(name, []).append(k)
         kept = {name: frames for name, frames in found.items() if len(frames) > 1}
@@ -369,6 +370,14 @@ def _navigation_rows(frame: Frame, constant: np.ndarray) -> tuple[np.ndarray, np
     return W @ np.hstack([by_pose, -drift.by_fading, -by_constant]), W @ off
 
 
+def largest_correction(frame: Frame) -> float:
+    """Largest correction of the navigation of an image, in standard deviations of that."""
+    drift = frame.drift
+    turn = _vector(drift.R_frame_from_camera.T @ frame.R_frame_from_camera)
+    off = np.abs(np.concatenate([frame.centre - drift.centre, turn]))
+    return float(np.max(off / np.sqrt(np.maximum(np.diagonal(drift.covariance), LEAST_VARIANCE))))
+
+
 def map_rows(frame: Frame, measured: Measured, window: Window) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives (r, 6 + m) of the residuals of a map in an image, by its pose and the constant numbers, and these."""
     turn = _vector(measured.R_frame_from_camera.T @ frame.R_frame_from_camera)
@@ -391,10 +400,18 @@ class Solved(NamedTuple):
 
 @one_thread()
 def solved(window: Window) -> Solved:
-    """Robust solution (Cauchy), then least squares without measurements off by more than `OUTLIER`."""
-    rows = Rows.of(window)
-    places = placed(window, rows)
-    window, places, _ = _descended(window, rows, places, None)
+    """Robust solution (Cauchy), then least squares without measurements off by more than `OUTLIER`.
+
+    Images of whose measurements few fit take no part with any of them, the one with the smallest share first."""
+    start, without = window, frozenset[int]()
+    while True:
+        rows = Rows.of(start, without=without)
+        window, places, _ = _descended(start, rows, placed(start, rows), None)
+        fits = _often(rows, _fitting(linear(window, rows, places).residual))
+        worst = _unfit(rows, fits, len(window.frames))
+        if worst is None:
+            break
+        without |= {worst}
     fits, converged = None, False
     for _ in range(ROUNDS):
         before, fits = fits, _often(rows, _fitting(linear(window, rows, places).residual))
@@ -411,6 +428,15 @@ def solved(window: Window) -> Solved:
     return Solved(window, covariance_of(window), converged)
 
 
+def _unfit(rows: Rows, fits: np.ndarray, frames: int) -> int | None:
+    """The frame with the smallest share of measurements that fit, if it is below `LEAST_FIT`."""
+    offered = np.bincount(rows.frame, minlength=frames)
+    share = np.bincount(rows.frame, weights=fits, minlength=frames) / np.maximum(offered, 1)
+    share[offered == 0] = 1.0
+    worst = int(np.argmin(share))
+    return worst if share[worst] < LEAST_FIT else None
+
+
 def covariance_of(window: Window) -> np.ndarray:
     """Covariance of the unknowns but the points, at the current values and with the measurements in use."""
     H, _, _ = of_others(window)
@@ -419,7 +445,7 @@ def covariance_of(window: Window) -> np.ndarray:
 
 
 def _in_use(window: Window, names: set[str] | None) -> tuple[Rows, Linear, np.ndarray]:
-    rows = Rows.of(window, names)
+    rows = Rows.of(window, set(window.points) if names is None else names & set(window.points))
     places = np.array([window.points[name] for name in rows.names]).reshape(-1, 3)
     at = linear(window, rows, places)
     weight = np.array([key in window.fits for key in rows.keys(window)], float)
@@ -477,8 +503,8 @@ def _weights(rows: Rows, residual: np.ndarray, fits: np.ndarray | None, frames: 
     length = np.sqrt(np.sum(residual**2, axis=1))
     width = np.full(frames, WIDTH)
     for k in np.unique(rows.frame):
-        own = length[rows.frame == k]
-        width[k] = max(WIDTH, WIDTH * float(np.median(np.nan_to_num(own, nan=np.inf, posinf=1e9))) / MEDIAN)
+        own = length[(rows.frame == k) & np.isfinite(length)]
+        width[k] = max(WIDTH, WIDTH * float(np.median(own)) / MEDIAN) if len(own) else WIDTH
     width = width[rows.frame]
     return np.nan_to_num(1.0 / (1.0 + (length / width) ** 2), nan=0.0), width
 

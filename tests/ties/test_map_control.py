@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.drone_strip import GROUND, SENSOR
+from support.drone_strip import CAMERA, GROUND, SENSOR
 from support.registered_strip import (
     ERRORS,
     OFFSET,
@@ -27,10 +27,11 @@ from support.registered_strip import (
 )
 
 from jaxgeo import Atmosphere, Exposure, Pose, Shot, locate
-from jaxgeo.adjust import LeastSquares
+from jaxgeo.adjust import LeastSquares, Prior, Unknowns
 from jaxgeo.io import example_dem
 from jaxgeo.register import Outcome, Registration, TieErrors, TiePoints, update_orientation
 from jaxgeo.ties import Correction, MapControl, Views, correct
+from jaxgeo.ties.map_control import measured_by
 from jaxgeo.ties.views import oriented
 from jaxgeo.uncertainty import ErrorModel, sources
 
@@ -224,6 +225,42 @@ def test_correlated_heights_average_less_than_independent_ones() -> None:
         registration = replace(registered(of, ROW), tie_errors=one)
         sizes.append(correct(of.given, of.seen, control=control_of(of, {ROW: registration})).sigma_of_mean[2])
     assert sizes[0] > 2.0 * sizes[1]
+
+
+def test_derivatives_by_the_lens_are_those_of_another_camera() -> None:
+    of = drawn(0, COUNT)
+    registration = registered(of, ROW)
+    camera = CAMERA
+    longer = replace(camera, focal_px=np.asarray(camera.focal_px) + 0.1)
+    one, other = (measured_by(of.given.frame, lens, registration, TERRAIN, "image 02") for lens in (camera, longer))
+    rows = np.hstack([one.by_pose, one.by_lens])
+    there = np.hstack([other.by_pose, other.by_lens])
+    # Rows are known up to a rotation, their products are not changed by it.
+    change = there.T @ other.offset - rows.T @ one.offset
+    expected = 0.1 * rows.T @ one.by_lens[:, 0]
+    assert np.allclose(change, expected, atol=0.03 * np.max(np.abs(expected)))
+
+
+def test_self_calibration_takes_the_map_in() -> None:
+    """A focal length that is off by 1 px: without a map it is the height of all images; with one it is found."""
+    of = drawn(0, COUNT)
+    camera = CAMERA
+    off = replace(camera, focal_px=np.asarray(camera.focal_px) + 1.0)
+    sensor = replace(SENSOR, camera=off)
+    names = [str(name) for name in of.given.name]
+    errors = (sources.Position(np.full(3, 0.3)), *ERRORS[2:])
+    given = Views.of(names, [replace(one, sensor=sensor) for one in of.true.exposure], [errors] * COUNT)
+    of = replace(of, given=given, shift=np.zeros(2))
+    found = {row: registered(of, row) for row in (1, 7)}
+    unknowns = Unknowns(focal=Prior(3.0))
+    corrected = correct(
+        given, of.seen, unknowns, control=MapControl.of(given, {names[k]: found[k] for k in found}, TERRAIN)
+    )
+    assert not corrected.refused
+    free = correct(given, of.seen, unknowns)
+    (focal,), (alone,) = corrected.adjustment.parameters, free.adjustment.parameters
+    assert abs(focal.value - 240.0) < 3.5 * focal.sigma
+    assert focal.sigma < alone.sigma
 
 
 def test_control_that_cannot_be_used_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxgeo import Exposure, Shot
 from jaxgeo.register import Registration
 from jaxgeo.ties import Correction, FrameEstimate, MapControl, RecursiveCorrection, correct
 from jaxgeo.uncertainty import PerFlight, TimeCorrelated, sources
+from tests.test_records import without_jax
 
 pytestmark = pytest.mark.costly
 
@@ -127,6 +129,17 @@ def test_memory_is_bounded() -> None:
     assert np.all(later[:, 0] == later[0, 0])
     assert later[-10:].max(axis=0)[1] <= 1.5 * later[:10].max(axis=0)[1]
     assert later[-10:].max(axis=0)[2] <= 1.5 * later[:10].max(axis=0)[2]
+
+
+def test_it_goes_on_in_another_process() -> None:
+    of = drawn(0, 8, LONGEST)
+    whole, _ = run(of)
+    part, _ = run(replace(of, given=views_of([one.motion for one in of.given.exposure[:5]])))  # pyright: ignore
+    part = pickle.loads(without_jax(part))
+    for row in range(5, 8):
+        part.add(str(of.given.name[row]), of.given.exposure[row], ERRORS, points_of(of, row))
+    assert [one.name for one in part.estimates] == [one.name for one in whole.estimates]
+    assert np.array_equal(part.covariance, whole.covariance)
 
 
 def test_wrong_matches_are_left_out() -> None:
