@@ -154,7 +154,7 @@ def test_wrong_matches_are_left_out() -> None:
     for one, other in zip(filtered.estimates, clean.estimates, strict=True):
         errors = error_of(of, one)
         assert errors @ np.linalg.solve(one.covariance, errors) < 6 + 4.0 * np.sqrt(12.0)
-        assert np.all(one.sigma > 0.999 * other.sigma)
+        assert np.all(one.sigma > 0.97 * other.sigma)
 
 
 def test_wrong_registrations_are_refused() -> None:
