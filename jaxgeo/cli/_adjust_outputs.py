@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxgeo.cli import _adjust_control as of_control
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._screen import number_table, print_note
 
@@ -29,19 +30,30 @@ CAPTION = (
 TABLES = "orientations.csv", "ties.csv"
 OPENSFM = "opensfm/reconstruction.json"
 COLMAP = "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt"
-FILES = *TABLES, OPENSFM, *COLMAP
+CONTROL = "control.csv"
+FILES = *TABLES, CONTROL, OPENSFM, *COLMAP
 SHOWN = 30  # images in the table on the screen
 
 
 def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> list[str]:
     """Write the tables and the models of OpenSfM and COLMAP; a note for a lens that these lack. Names of the files."""
-    from jaxgeo.io import orientations_of, write_colmap, write_image_ties, write_opensfm, write_orientations
+    from jaxgeo.io import (
+        orientations_of,
+        write_colmap,
+        write_control,
+        write_image_ties,
+        write_opensfm,
+        write_orientations,
+    )
     from jaxgeo.io.errors import UnwritableLens
 
     folder.mkdir(parents=True, exist_ok=True)
     adjustment, written = found.adjustment, [*TABLES]
     write_orientations(folder / TABLES[0], orientations_of(adjustment), crs=crs)
     write_image_ties(folder / TABLES[1], adjustment)
+    if found.control_residuals is not None:
+        write_control(folder / CONTROL, found.control_residuals)
+        written.append(CONTROL)
     (folder / OPENSFM).parent.mkdir(exist_ok=True)
     models = (
         ([OPENSFM], lambda: write_opensfm(folder / OPENSFM, adjustment)),
@@ -92,6 +104,14 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
         }
         for k, name in enumerate(found.names)
     ]
+    if found.control_residuals is not None:
+        content["control"] = {
+            "points": of_control.rows_of_points(found.control_residuals),
+            "left_out": [
+                {"point": one.point, "image": one.image or None, "standardised": one.standardised, "words": f"{one}"}
+                for one in found.blunders
+            ],
+        }
     return content | {
         "measurements": {"used": len(observed), "left_out": found.left_out},
         "residuals_rms_px": {"before": found.rms_before, "after": found.rms_after},
@@ -133,6 +153,9 @@ def print_summary(content: dict[str, Any], found: Correction | None) -> None:
     say(f"measurements: {used['used']} used, {used['left_out']} left out")
     say(f"moved by {content['moved_rms_m']:.3g} m, turned by {content['turned_rms_deg']:.3g} deg (RMS)")
     console.print(number_table(content["adjusted"][:SHOWN], IMAGES, CAPTION))
+    if "control" in content:
+        points = content["control"]["points"]
+        console.print(number_table(points[:SHOWN], of_control.COLUMNS, of_control.CAPTION))
     for one in content["parameters"]:
         say(f"{one['of']} {one['name']}: {one['value']:.7g} +- {one['sigma']:.3g} {one['unit']}")
     say(found.words())

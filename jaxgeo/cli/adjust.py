@@ -12,6 +12,7 @@ import typer
 
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._adjust_control import ControlOptions
 from jaxgeo.cli._adjust_outputs import FILES, content_of, print_summary, write_files
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -24,7 +25,7 @@ from jaxgeo.cli._screen import print_note, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
-    from jaxgeo.ties import Correction, KeptMatches, Matching, Ties, Views
+    from jaxgeo.ties import Control, Correction, KeptMatches, Matching, Ties, Views
 
 MATCHES = "matches"  # folder in that of the results, with those of the pairs
 INTERIOR = 0.005, 0.002, 0.002  # of the focal length: sigmas of focal length and principal point, if none is stated
@@ -70,6 +71,7 @@ def adjust_command(
             "--crs", metavar="CRS", help="Map of the orientations (x, y, z, omega, phi, kappa); default: lat, lon."
         ),
     ] = None,
+    of_control: ControlOptions = ControlOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
@@ -77,13 +79,14 @@ def adjust_command(
 ) -> None:
     """Correct positions and attitudes of overlapping images by tie points among them; no map is needed.
 
-    The navigation is the prior, with the errors that the files state. Writes orientations.csv, ties.csv,
-    and models of OpenSfM and COLMAP.
+    The navigation is the prior, with the errors that the files state; surveyed points (--gcp) are control, or checks.
+    Writes orientations.csv, ties.csv, control.csv, and models of OpenSfM and COLMAP.
     """
     inputs = given_options(locals())
     with report_errors(debug):
         given = OrientedImages(files, None, images, reading)
         given.check()
+        of_control.check_options()
         _check_map(crs)
         if not given.are_several:
             if not files[0].exists() and ":" not in f"{files[0]}":
@@ -92,7 +95,12 @@ def adjust_command(
                 f"{files[0]}: adjust needs two images or more; give a folder of images, or a file of poses with "
                 f"--images FOLDER."
             )
-        check_no_input("--output", [output / name for name in FILES], [*given.inputs, *terrain_files(dem, reading_dem)])
+        read = [
+            *given.inputs,
+            *terrain_files(dem, reading_dem),
+            *([] if of_control.file is None else [of_control.file]),
+        ]
+        check_no_input("--output", [output / name for name in FILES], read)
         check_writable(output)
         began = time.perf_counter()
         compile_quickly()
@@ -102,7 +110,9 @@ def adjust_command(
         enable_x64()
         from jaxgeo.ties import KeptMatches as Kept
 
+        surveyed = of_control.read()
         views, paths, assumed, errors = _read(given)
+        control = None if surveyed is None else of_control.control(surveyed, views, assumed)
         if output.resolve() in {path.resolve().parent for path in paths}:
             raise UserError(
                 f"--output {output}: the images are there; give another folder, such as {output / 'adjusted'}."
@@ -117,9 +127,9 @@ def adjust_command(
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
         found, written = None, []
-        if ties.observations is not None and len(ties.parts[0]) > 1:
+        if control is not None or (ties.observations is not None and len(ties.parts[0]) > 1):
             with working("adjusting"):
-                found = _corrected(views, ties, _interior(views, errors) if self_calibrate else None)
+                found = _corrected(views, ties, _interior(views, errors) if self_calibrate else None, control)
             written = [f"{output / name}" for name in write_files(output, found, crs)]
         content = content_of(views, ties, found, written, time.perf_counter() - began)
         if as_json:
@@ -285,11 +295,11 @@ def _interior(views: Views, errors: list[Any]) -> Unknowns:
     return Unknowns(focal=focal, principal=principal)
 
 
-def _corrected(views: Views, ties: Ties, unknowns: Unknowns | None) -> Correction:
+def _corrected(views: Views, ties: Ties, unknowns: Unknowns | None, control: Control | None) -> Correction:
     from jaxgeo.adjust import DeficientBlock, NotConverged
     from jaxgeo.ties import correct
 
     try:
-        return correct(views, ties, unknowns)
+        return correct(views, ties, unknowns, control=control)
     except (DeficientBlock, NotConverged, ValueError) as error:
         raise UserError(f"the adjustment failed: {error}") from error

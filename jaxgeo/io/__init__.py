@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.footprints import write_footprints
     from jaxgeo.io.gcp import GroundControl, read_gcp_list
     from jaxgeo.io.geoid import height_msl, undulation
+    from jaxgeo.io.ground_control import control_of, write_control
     from jaxgeo.io.height_sigmas import read_height_sigmas
     from jaxgeo.io.image_points import read_image_points, write_image_points
     from jaxgeo.io.images import read_image
@@ -82,6 +83,7 @@ __all__ = [
     "accuracy_map_dataset",
     "accuracy_of_observations",
     "check_points_of",
+    "control_of",
     "errors_table",
     "example_dem",
     "fetch_dem",
@@ -118,6 +120,7 @@ __all__ = [
     "write_accuracy_map",
     "write_bal",
     "write_colmap",
+    "write_control",
     "write_errors",
     "write_exposures",
     "write_fixes",
@@ -154,6 +157,7 @@ _NAMES_OF = {
     "footprints": "write_footprints",
     "gcp": "GroundControl read_gcp_list",
     "geoid": "height_msl undulation",
+    "ground_control": "control_of write_control",
     "height_sigmas": "read_height_sigmas",
     "image_points": "read_image_points write_image_points",
     "images": "read_image",

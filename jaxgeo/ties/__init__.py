@@ -1,6 +1,8 @@
 """Tie points between images, and the mutual correction of their orientations without a map."""
 
 from jaxgeo.ties.block import MatchedPair, Ties, find_ties
+from jaxgeo.ties.control import Control, check_control
+from jaxgeo.ties.control_residuals import ControlResiduals
 from jaxgeo.ties.correction import Correction, correct
 from jaxgeo.ties.kept import KeptMatches
 from jaxgeo.ties.matching import Matching, PairMatches, TieOutcome, match_pair
@@ -10,6 +12,8 @@ from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
 __all__ = [
+    "Control",
+    "ControlResiduals",
     "Correction",
     "KeptMatches",
     "MatchedPair",
@@ -21,6 +25,7 @@ __all__ = [
     "Ties",
     "Views",
     "candidate_pairs",
+    "check_control",
     "connected",
     "correct",
     "find_ties",

@@ -2,61 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo._typing import Numbers, Scalar
-from jaxgeo.adjust import (
-    AbstractLoss,
-    Adjustment,
-    Block,
-    HeightObservations,
-    ImagePoints,
-    Images,
-    LeastSquares,
-    Navigation,
-    Unknowns,
-)
-from jaxgeo.adjust.bundle import adjusted
+from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
 from jaxgeo.adjust.initial_points import of_parallel_rays
-from jaxgeo.adjust.kept import Kept, block_of, masked, set_aside
-from jaxgeo.adjust.measurements import image_residuals, in_view
-from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.ray_consensus import Rays
-from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
-from jaxgeo.adjust.solve import solve
-from jaxgeo.adjust.values import Values
-from jaxgeo.sensor import Mount
 from jaxgeo.ties.block import Ties
-from jaxgeo.ties.excess import by_median, excess_of
+from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
+from jaxgeo.ties.control import Control, check_control
+from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
+from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_wrong_control
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
-OUTLIER = 4.0  # standard deviations: larger residuals are left out
-LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
-# px: added to the standard deviations of image points in the first robust solution, which starts from the navigation,
-# several px off; with less, right measurements are left out there for wrong ones.
-FIRST_EXCESS = 1.0
-ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
-ROUNDS = 10
-WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
-
-
-class _Cauchy(AbstractLoss):
-    """Cauchy's loss with its width as an array: least squares, by a large width, is then the same program."""
-
-    width: Scalar
-
-    def rho(self, squared: Numbers) -> Numbers:
-        return self.width**2 * jnp.log1p(squared / self.width**2)
-
-    def weight(self, squared: Numbers) -> Numbers:
-        return 1.0 / (1.0 + squared / self.width**2)
+GROUND = "\n"  # name of an image that shows all control points: none of a file has it
 
 
 @dataclass(frozen=True)
@@ -69,6 +34,9 @@ class Correction:
     `moved` (n, 3) in m and `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north,
     up), rotation about the camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation.
     `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these.
+
+    With `control`, `control_residuals` has the residuals of control points and check points with their predicted
+    standard deviations, and `blunders` the control points, and pixels of them, that did not fit.
     """
 
     views: Views
@@ -81,6 +49,9 @@ class Correction:
     sigmas: np.ndarray
     left_out: int
     unconnected: list[str]
+    control: Control | None = None
+    control_residuals: ControlResiduals | None = None
+    blunders: list[Blunder] = field(default_factory=list)
 
     @property
     def names(self) -> list[str]:
@@ -92,13 +63,15 @@ class Correction:
         """Names of images whose correction exceeds four standard deviations of their navigation."""
         return [name for name, sigma in zip(self.names, self.sigmas, strict=True) if sigma > FAR]
 
-    @property
+    @cached_property
     def sigma_of_mean(self) -> np.ndarray:
         """Standard deviations (3,) in m, east, north, up, of the mean position of the adjusted images.
 
-        Tie points do not show it. It is that of the navigation: errors of each image alone, which average out, and
-        those that images share, which do not.
+        Tie points do not show it. Without control it is that of the navigation: errors of each image alone, which
+        average out, and those that images share, which do not. With control it is that of the adjustment.
         """
+        if self.has_control:
+            return mean_position_sigma(self.adjustment)
         rows = _rows(self.views, self.names)
         alone = np.diagonal(self.views.own, axis1=1, axis2=2)[rows, :3].sum(axis=0) / len(rows) ** 2
         shared = [one[rows, :3].mean(axis=0) ** 2 for one in self.views.common.values()]
@@ -109,14 +82,24 @@ class Correction:
         """Names of the errors that images share and of which the adjustment left more than nine tenths."""
         return [name for name, (_, left) in self.adjustment.common.items() if left > HIDDEN]
 
+    @property
+    def has_control(self) -> bool:
+        """Whether control points are in the adjustment."""
+        return self.adjustment.block.control is not None and len(self.adjustment.block.control) > 0
+
     def words(self) -> str:
-        """What the images alone do not show, as sentences."""
+        """What control holds and shows, and what the images alone do not show, as sentences."""
         east, north, up = self.sigma_of_mean
-        lines = [
-            f"Images alone do not show a shift of all positions: it stays that of the navigation, {east:.3g}, "
-            f"{north:.3g}, {up:.3g} m (E, N, U; one sigma"
-            + (")." if self.views.common else ", as its errors are stated to be independent between images).")
-        ]
+        shift = f"{east:.3g}, {north:.3g}, {up:.3g} m (E, N, U; one sigma"
+        if self.has_control:
+            lines = [f"Navigation and control hold the mean position of the images to {shift})."]
+        else:
+            lines = [
+                f"Images alone do not show a shift of all positions: it stays that of the navigation, {shift}"
+                + (")." if self.views.common else ", as its errors are stated to be independent between images).")
+            ]
+        if self.control_residuals is not None:
+            lines += words_of(self.control_residuals, self.blunders)
         if not self.adjustment.parameters:
             lines.append(
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
@@ -129,30 +112,44 @@ class Correction:
             some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
             lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
         if self.doubtful:
+            and_control = ", and coordinate system and vertical datum of the control" if self.has_control else ""
             some = ", ".join(self.doubtful[:10]) + (" ..." if len(self.doubtful) > 10 else "")
-            lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors: {some}.")
+            lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors{and_control}: {some}.")
         return "\n".join(lines)
 
 
 def correct(
-    views: Views, ties: Ties | ImagePoints, unknowns: Unknowns | None = None, terrain: HeightObservations | None = None
+    views: Views,
+    ties: Ties | ImagePoints,
+    unknowns: Unknowns | None = None,
+    terrain: HeightObservations | None = None,
+    *,
+    control: Control | None = None,
 ) -> Correction:
-    """Adjust the orientations of images by tie points among them.
+    """Adjust the orientations of images by tie points among them, and by control points if there are any.
 
-    The navigation is the prior of all images, with its covariance, and the only datum: position, orientation and scale
-    of the whole come from it. Errors that images share, by the `sharing` of their sources, are unknowns of the whole.
-    The largest connected part is adjusted. First with a robust loss (Cauchy), and without measurements off by more than
-    four standard deviations; then by least squares of the rest. If residuals exceed what the standard deviations of the
-    measurements explain, as those of lenses and terrain do, one standard deviation in px is added to all in quadrature:
-    by the median residual at first, then so that the sum of squares has its expected value, see `excess_of`.
+    The navigation is the prior of all images, with its covariance, and without control the only datum: position,
+    orientation and scale of the whole come from it. Errors that images share, by the `sharing` of their sources, are
+    unknowns of the whole. The largest connected part is adjusted; the points of `control` connect images as tie points
+    do, and those with three of them are connected to each other. First with a robust loss (Cauchy), and without
+    measurements off by more than four standard deviations; then by least squares of the rest. If residuals exceed what
+    the standard deviations of the measurements explain, as those of lenses and terrain do, one standard deviation in px
+    is added to all in quadrature: by the median residual at first, then so that the sum of squares has its expected
+    value, see `excess_of`. Control points, and pixels of them, that fail the test at 1e-4 against all others are left
+    out, one after the other (`Correction.blunders`).
     `unknowns` adds a self-calibration (`images` are always free), `terrain` observations of the heights of the points.
     Points whose rays are parallel, as in images from one position, have no place and are left out.
 
-    Raises `ValueError` without tie points between any two images, for rays that are all parallel, and as
-    `jaxgeo.adjust.adjust`.
+    Raises `ValueError` without tie points between any two images, for rays that are all parallel, for control that does
+    not belong to these images (`check_control`) or of which more than half is left out, and as `jaxgeo.adjust.adjust`.
     """
     check_is(views, Views, "views")
     observations = ties.observations if isinstance(ties, Ties) else ties
+    ground = None
+    if control is not None:
+        check_is(control, Control, "control")
+        check_control(views, control)
+        observations, ground = _with_control(views, observations, control)
     if observations is None:
         raise ValueError(
             "no two images share a tie point; nothing can be adjusted. Check the navigation and the datum of its "
@@ -160,26 +157,58 @@ def correct(
         )
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
-    observations = _of_places(views, observations)
+    observations = _of_places(views, observations, ground)
     while True:
-        part = connected(views.name, observations)[0]
+        part = _largest_part(views, observations, ground)
         if len(part) < 2:
             raise ValueError(
                 "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
-        block = _block(views, _of_images(observations, part))
-        kept, values, excess = _robust(block, unknowns, terrain)
+        block = block_of_views(views, _of_images(observations, part, ground), ground)
+        kept, values, excess = robust_solution(block, unknowns, terrain)
         left = block.observations.of(kept.rows)
-        if set(connected(views.name, left)[0]) >= {str(name) for name in block.images.name}:
+        if set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
             break
         observations = left  # an image has lost its ties
-    found, excess = _final(block, unknowns, terrain, kept, values, excess)
-    return _correction(views, found, excess, given)
+    final = least_squares(block, unknowns, terrain, kept, values, excess)
+    blunders: list[Blunder] = []
+    if ground is not None:
+        final, blunders = without_wrong_control(block, unknowns, terrain, final)
+    return _correction(views, final, given, control, blunders)
 
 
-def _of_places(views: Views, observations: ImagePoints) -> ImagePoints:
-    """The measurements of points whose rays are not parallel. Raises `ValueError` if all are."""
-    parallel = of_parallel_rays(_block(views, observations))
+def _with_control(
+    views: Views, observations: ImagePoints | None, control: Control
+) -> tuple[ImagePoints | None, GroundPoints | None]:
+    """(the measurements with the pixels of control points, these points in the frame). Raises `ValueError` for a
+    control point with the name of a tie point."""
+    marks, ground = control.used_marks, control.ground(views.frame)
+    ground = ground.of(ground.name[~control.is_check].tolist())
+    if observations is not None:
+        same = np.intersect1d(observations.point, control.name)
+        if same.size:
+            raise ValueError(f"point {same[0]} of the control has the name of a tie point; name it otherwise.")
+    if not len(ground):
+        return observations, None
+    return marks if observations is None else ImagePoints.joined([observations, marks]), ground
+
+
+def _largest_part(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> list[str]:
+    """Names of the images of the largest connected part; images with three control points are connected."""
+    if ground is None:
+        return connected(views.name, observations)[0]
+    all_control = np.unique(observations.point[np.isin(observations.point, ground.name)])
+    of_ground = ImagePoints(np.full(len(all_control), GROUND), all_control, np.zeros((len(all_control), 2)))
+    parts = connected(np.append(views.name, GROUND), ImagePoints.joined([observations, of_ground]))
+    return max(([name for name in part if name != GROUND] for part in parts), key=len)
+
+
+def _of_places(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> ImagePoints:
+    """The measurements of points that are control, or whose rays are not parallel. Raises `ValueError` if there are
+    none."""
+    parallel = of_parallel_rays(block_of_views(views, observations, ground))
+    if ground is not None:
+        parallel &= ~np.isin(observations.point, ground.name)
     if np.all(parallel):
         raise ValueError(
             "the rays of all tie points are parallel, so that these have no place; are the images of one position, or "
@@ -188,106 +217,13 @@ def _of_places(views: Views, observations: ImagePoints) -> ImagePoints:
     return observations.of(~parallel) if np.any(parallel) else observations
 
 
-def _robust(block: Block, unknowns: Unknowns, terrain: HeightObservations | None) -> tuple[Kept, Values, float]:
-    """(the measurements that fit, the robust solution, the standard deviation in px to add to theirs)."""
-    first = kept = screened_of(block, unknowns, SIGMAS).kept
-    values, excess = None, FIRST_EXCESS
-    for _ in range(ROUNDS):
-        less_sure = _less_sure(block, excess)
-        full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
-        solution = solve(masked(less_sure, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
-        values = solution.values
-        residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
-        largest, sigma = _largest(residuals, block.observations.sigma)
-        last, excess = excess, by_median(largest[kept.rows], sigma[kept.rows])
-        fits = largest <= OUTLIER * np.hypot(sigma, excess)
-        before, kept = kept, Kept(fits & _in_view(full, values), kept.control).whole(block)
-        is_settled = np.array_equal(before.rows, kept.rows) and abs(excess - last) <= ENOUGH * max(last, ENOUGH)
-        if is_settled or not kept.leaves_every_image(block):
-            break
-    assert values is not None
-    return kept, values, excess
+def _of_images(observations: ImagePoints, names: list[str], ground: GroundPoints | None) -> ImagePoints:
+    known = () if ground is None else ground.name.tolist()
+    return observations.of(np.isin(observations.image, names)).seen_often(known=known)
 
 
-def _less_sure(block: Block, excess: float) -> Block:
-    """The block with a standard deviation in px added to those of its image points."""
-    observed = block.observations
-    return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, excess)))
-
-
-def _largest(residuals: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The larger of the two residuals of each measurement, in standard deviations, and its standard deviation, px."""
-    axis = np.argmax(np.abs(residuals / sigma), axis=1)
-    rows = np.arange(len(axis))
-    return np.abs(residuals)[rows, axis], sigma[rows, axis]
-
-
-def _in_view(full: Prepared, values: Values) -> np.ndarray:
-    return np.asarray(in_view(full.problem, values))[full.order.place]
-
-
-def _final(
-    block: Block,
-    unknowns: Unknowns,
-    terrain: HeightObservations | None,
-    kept: Kept,
-    values: Values,
-    excess: float,
-) -> tuple[Adjustment, float]:
-    """(least-squares adjustment of the kept measurements, the standard deviation in px added to theirs)."""
-    for last in (False, False, True):
-        less_sure = _less_sure(block, excess)
-        ready = masked(less_sure, prepared(less_sure, unknowns, terrain, set_aside(less_sure, kept)), kept)
-        solution = solve(ready.problem, _Cauchy(jnp.asarray(WIDEST)), start=values)
-        values = solution.values
-        if not last:
-            off = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
-            freedom = max(2 * len(off) - 6 * len(block.images) - 3 * len(ready.names.point), 1)
-            excess = excess_of(
-                off * less_sure.observations.sigma[kept.rows], block.observations.sigma[kept.rows], freedom
-            )
-    screen = Screen(kept)
-    return adjusted(block_of(less_sure, kept), unknowns, ready, solution, LeastSquares(), None, screen), excess
-
-
-def _of_images(observations: ImagePoints, names: list[str]) -> ImagePoints:
-    return observations.of(np.isin(observations.image, names)).seen_often()
-
-
-def _block(views: Views, observations: ImagePoints) -> Block:
-    """The block of those images that have observations."""
-    rows = np.flatnonzero(np.isin(views.name, observations.image))
-    images = Images(views.name[rows], views.camera[rows], views.centre[rows], views.R_frame_from_camera[rows])
-    cameras = {name: views.cameras[name] for name in dict.fromkeys(images.camera.tolist())}
-    return Block(views.frame, cameras, images, observations, navigation=_navigation(views).of(rows))
-
-
-def _navigation(views: Views) -> Navigation:
-    """Navigation of the cameras themselves: perspective centres, and rotations about the camera's axes."""
-    count, eye = len(views), np.eye(3)
-    each = np.broadcast_to(eye, (count, 3, 3))
-    position, attitude = (views.own[:, part, part] for part in (np.s_[:3], np.s_[3:]))
-    zero = np.zeros(3)
-    return Navigation(
-        position=views.centre,
-        R_frame_from_body=views.R_frame_from_camera,
-        R_frame_from_reference=views.R_frame_from_camera,
-        R_base_from_head=each,
-        information_position=_information(position, LEAST_POSITION),
-        information_attitude=_information(attitude, LEAST_ATTITUDE),
-        mount=views.camera,
-        strip=np.full(count, "strip"),
-        time=np.zeros(count),
-        mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
-        common=views.common,
-    )
-
-
-def _information(covariance: np.ndarray, least: float) -> np.ndarray:
-    return np.linalg.inv(np.linalg.cholesky(covariance + least**2 * np.eye(3)))
-
-
-def _correction(views: Views, found: Adjustment, excess: float, given: int) -> Correction:
+def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
+    found, excess = final.found, final.excess
     rows = _rows(views, [str(name) for name in found.images.name])
     moved = found.images.centre - views.centre[rows]
     turn = np.swapaxes(views.R_frame_from_camera[rows], 1, 2) @ found.images.R_frame_from_camera
@@ -299,19 +235,22 @@ def _correction(views: Views, found: Adjustment, excess: float, given: int) -> C
         views=views,
         adjustment=found,
         excess=excess,
-        rms_before=rms_of_rays(views, found.block.observations),
+        rms_before=rms_of_rays(views, found.block.observations.seen_often()),
         rms_after=float(np.sqrt(np.mean(found.residuals**2))),
         moved=moved,
         turned=turned,
         sigmas=np.max(np.abs(np.concatenate([moved, turned], axis=1)) / sigma, axis=1),
         left_out=given - len(found.block.observations),
         unconnected=[str(name) for name in views.name if str(name) not in names],
+        control=control,
+        control_residuals=None if control is None else residuals_of(control, found, excess),
+        blunders=blunders,
     )
 
 
 def rms_of_rays(views: Views, observations: ImagePoints) -> float:
     """RMS distance per axis in px of measurements from the points where their rays come closest."""
-    block = _block(views, observations)
+    block = block_of_views(views, observations)
     rays = Rays.of(block)
     focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
     each = np.array([focal[str(name)] for name in block.images.camera])[rays.image]
