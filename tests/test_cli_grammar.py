@@ -206,8 +206,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--points 100 --least-correlation 0.6 --no-self-calibrate --crs EPSG:32616 --dem-datum EPSG:5773 -o out --json "
     "--debug",
     f"adjust FILE --dem dem.tif {READING} -o out",
-    "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 --gcp-sigma "
-    "0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 -o out",
+    "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 "
+    "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 -o out",
     f"footprint FILE --dem dem.tif {FILE}",
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.archives import ArchiveError, DemCache, FetchedDem, fetch_dem, fetch_geoid
     from jaxgeo.io.bal import BalProblem, read_bal, write_bal
     from jaxgeo.io.check_points import SurveyedPixels, check_points_of, read_check_points
-    from jaxgeo.io.corrected import orientations_of, write_image_ties
+    from jaxgeo.io.corrected import exposures_of, orientations_of, write_image_ties
     from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
     from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
     from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
@@ -86,6 +86,7 @@ __all__ = [
     "control_of",
     "errors_table",
     "example_dem",
+    "exposures_of",
     "fetch_dem",
     "fetch_geoid",
     "height_msl",
@@ -146,7 +147,7 @@ _NAMES_OF = {
     "archives": "ArchiveError DemCache FetchedDem fetch_dem fetch_geoid",
     "bal": "BalProblem read_bal write_bal",
     "check_points": "SurveyedPixels check_points_of read_check_points",
-    "corrected": "orientations_of write_image_ties",
+    "corrected": "exposures_of orientations_of write_image_ties",
     "datasets": "accuracy_map_dataset samples_dataset",
     "dem": "DemReport example_dem read_dem read_dem_and_report",
     "errors": "DemError ImageError TableError VerticalDatumError",
