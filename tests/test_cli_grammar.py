@@ -207,7 +207,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--debug",
     f"adjust FILE --dem dem.tif {READING} -o out",
     "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 "
-    "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 -o out",
+    "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 --report -o out",
     f"footprint FILE --dem dem.tif {FILE}",
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",

@@ -45,7 +45,7 @@ class ControlOptions(OptionGroup):
 
     panel: ClassVar[str | None] = "Control points"
 
-    file: Annotated[
+    gcp: Annotated[
         pathlib.Path | None,
         typer.Option(
             "--gcp",
@@ -54,7 +54,7 @@ class ControlOptions(OptionGroup):
             "lat_deg, lon_deg, height_m).",
         ),
     ] = None
-    datum: Annotated[
+    gcp_datum: Annotated[
         str | None,
         typer.Option(
             "--gcp-datum",
@@ -62,7 +62,7 @@ class ControlOptions(OptionGroup):
             help='Vertical datum of --gcp: "EPSG:5773", "ellipsoid", an undulation in m.',
         ),
     ] = None
-    survey: Annotated[
+    gcp_sigma: Annotated[
         str | None,
         typer.Option(
             "--gcp-sigma",
@@ -70,7 +70,7 @@ class ControlOptions(OptionGroup):
             help="Standard deviation of the survey, m: one number, or EAST,NORTH,UP (default 0.05).",
         ),
     ] = None
-    pixel: Annotated[
+    pixel_sigma: Annotated[
         float | None,
         typer.Option(
             "--pixel-sigma", metavar="SIGMA", help="Standard deviation of the pixels of --gcp, px (default 1)."
@@ -94,20 +94,20 @@ class ControlOptions(OptionGroup):
 
     def check_options(self) -> None:
         """Raises `UserError` for options that need --gcp, and for wrong values."""
-        if self.file is None:
-            given = {"--gcp-datum": self.datum, "--gcp-sigma": self.survey, "--pixel-sigma": self.pixel}
+        if self.gcp is None:
+            given = {"--gcp-datum": self.gcp_datum, "--gcp-sigma": self.gcp_sigma, "--pixel-sigma": self.pixel_sigma}
             for option, value in (given | {"--check": self.check or None}).items():
                 if value is not None:
                     raise UserError(f"{option} is for control points; give --gcp FILE too.")
             return
-        if self.datum is None:
+        if self.gcp_datum is None:
             raise UserError(
-                f"--gcp {self.file}: state the vertical datum of its heights with --gcp-datum: EPSG:5773, ellipsoid, "
+                f"--gcp {self.gcp}: state the vertical datum of its heights with --gcp-datum: EPSG:5773, ellipsoid, "
                 f"or an undulation in m."
             )
         if self.pixel_origin not in ("centre", "corner"):
             raise UserError(f"--pixel-origin {self.pixel_origin}: expected centre or corner.")
-        for option, value in (("--gcp-sigma", self._survey), ("--pixel-sigma", self.pixel)):
+        for option, value in (("--gcp-sigma", self._survey), ("--pixel-sigma", self.pixel_sigma)):
             for one in np.atleast_1d([] if value is None else value):
                 if checked_sigma(option, float(one)) == 0.0:
                     raise UserError(f"{option} {one:g}: must be above 0; nothing is measured without an error.")
@@ -115,23 +115,23 @@ class ControlOptions(OptionGroup):
     @property
     def files(self) -> list[pathlib.Path]:
         """The files named by the options."""
-        return [] if self.file is None else [self.file]
+        return [] if self.gcp is None else [self.gcp]
 
     @property
     def _survey(self) -> list[float] | None:
-        if self.survey is None:
+        if self.gcp_sigma is None:
             return None
-        found = numbers_in("--gcp-sigma", self.survey, (1, 3), "one number in m, or EAST,NORTH,UP")
+        found = numbers_in("--gcp-sigma", self.gcp_sigma, (1, 3), "one number in m, or EAST,NORTH,UP")
         return found * 3 if len(found) == 1 else found
 
     def read(self) -> SurveyedPixels | None:
         """The file. Raises `UserError`, and as its reader."""
         from jaxgeo.io import VerticalDatumError, read_check_points
 
-        if self.file is None or self.datum is None:
+        if self.gcp is None or self.gcp_datum is None:
             return None
         try:
-            return read_check_points(self.file, height_datum=as_datum(self.datum), pixel_origin=self.pixel_origin)
+            return read_check_points(self.gcp, height_datum=as_datum(self.gcp_datum), pixel_origin=self.pixel_origin)
         except VerticalDatumError as error:
             raise UserError(f"{error}".replace("height_datum=", "--gcp-datum ")) from error
 
@@ -141,7 +141,7 @@ class ControlOptions(OptionGroup):
         from jaxgeo.io import control_of
         from jaxgeo.ties import check_control
 
-        survey, pixel = self._survey, self.pixel
+        survey, pixel = self._survey, self.pixel_sigma
         if surveyed.sigma_enu is None and survey is None:
             survey = [USUAL_SURVEY] * 3
             assumed.append(f"Survey sigma: {USUAL_SURVEY:g} m (default). (--gcp-sigma)")
@@ -157,7 +157,7 @@ class ControlOptions(OptionGroup):
             check_control(views, found)
         except ValueError as error:
             words = f"{error}".replace("check point", "--check", 1) if f"{error}".startswith("check") else f"{error}"
-            raise UserError(f"--gcp {self.file}: {words}") from error
+            raise UserError(f"--gcp {self.gcp}: {words}") from error
         return found
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxgeo.cli import _adjust_control as of_control
+from jaxgeo.cli._common import UserError
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._screen import number_table, print_note
 
@@ -31,7 +32,8 @@ TABLES = "orientations.csv", "ties.csv"
 OPENSFM = "opensfm/reconstruction.json"
 COLMAP = "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt"
 CONTROL = "control.csv"
-FILES = *TABLES, CONTROL, OPENSFM, *COLMAP
+PAGE = "report.html"
+FILES = *TABLES, CONTROL, PAGE, OPENSFM, *COLMAP
 SHOWN = 30  # images in the table on the screen
 
 
@@ -67,6 +69,27 @@ def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> lis
             continue
         written += names
     return written
+
+
+def check_report() -> None:
+    """Raises `UserError` where the packages of pages are missing."""
+    try:
+        import jaxgeo.report  # noqa: F401
+    except ImportError as error:
+        raise UserError(f"--report: {error}") from error
+
+
+def write_page(
+    folder: pathlib.Path, found: Correction, terrain: Any, inputs: dict[str, Any], assumed: list[str]
+) -> str:
+    """Write the report page. Its name."""
+    from jaxgeo.report import ReportHeader, write_correction_report
+    from jaxgeo.report.correction import TITLE
+
+    given = {name: value for name, value in inputs.items() if value is not None and value != []}
+    header = ReportHeader(TITLE, inputs=given, assumed=assumed)
+    write_correction_report(folder / PAGE, found, terrain, header=header)
+    return PAGE
 
 
 def content_of(views: Views, ties: Ties, found: Correction | None, files: list[str], seconds: float) -> dict[str, Any]:

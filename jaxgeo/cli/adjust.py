@@ -13,7 +13,7 @@ import typer
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._adjust_control import ControlOptions
-from jaxgeo.cli._adjust_outputs import FILES, content_of, print_summary, write_files
+from jaxgeo.cli._adjust_outputs import FILES, check_report, content_of, print_summary, write_files, write_page
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
@@ -71,6 +71,14 @@ def adjust_command(
             "--crs", metavar="CRS", help="Map of the orientations (x, y, z, omega, phi, kappa); default: lat, lon."
         ),
     ] = None,
+    report: Annotated[
+        bool,
+        typer.Option(
+            "--report",
+            help="Also write report.html: residual maps, corrections, check points, map of the block.",
+            rich_help_panel=WRITING,
+        ),
+    ] = False,
     of_control: ControlOptions = ControlOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
@@ -88,6 +96,8 @@ def adjust_command(
         given.check()
         of_control.check_options()
         _check_map(crs)
+        if report:
+            check_report()
         if not given.are_several:
             if not files[0].exists() and ":" not in f"{files[0]}":
                 raise UserError(f"{files[0]}: there is no such file or folder.")
@@ -98,7 +108,7 @@ def adjust_command(
         read = [
             *given.inputs,
             *terrain_files(dem, reading_dem),
-            *([] if of_control.file is None else [of_control.file]),
+            *([] if of_control.gcp is None else [of_control.gcp]),
         ]
         check_no_input("--output", [output / name for name in FILES], read)
         check_writable(output)
@@ -130,7 +140,10 @@ def adjust_command(
         if control is not None or (ties.observations is not None and len(ties.parts[0]) > 1):
             with working("adjusting"):
                 found = _corrected(views, ties, _interior(views, errors) if self_calibrate else None, control)
-            written = [f"{output / name}" for name in write_files(output, found, crs)]
+            written = write_files(output, found, crs)
+            if report:
+                written.append(write_page(output, found, terrain, inputs, assumed))
+            written = [f"{output / name}" for name in written]
         content = content_of(views, ties, found, written, time.perf_counter() - began)
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": assumed, **content})

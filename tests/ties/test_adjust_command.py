@@ -126,7 +126,7 @@ def test_control_holds_the_block_and_check_points_show_it(tmp_path, here, done) 
     assert len(names) > 8
     rows = [[*row[:-1], "check" if row[1] in names[::4] else "control"] for row in rows]
     table = write_points(tmp_path / "points.csv", rows)
-    result = run(*here.arguments, *OPTIONS, "-o", out, "--gcp", table, *GCP, "--check", names[1], "--json")
+    result = run(*here.arguments, *OPTIONS, "-o", out, "--gcp", table, *GCP, "--check", names[1], "--json", "--report")
     assert result.exit_code == 0, result.output
     points = json.loads(result.stdout)["control"]["points"]
     checks = [one for one in points if one["role"] == "check"]
@@ -143,6 +143,9 @@ def test_control_holds_the_block_and_check_points_show_it(tmp_path, here, done) 
     assert np.mean(after) < 0.5 * np.mean(before)
     lines = (out / "control.csv").read_text().splitlines()
     assert len(lines) - 1 == len(names)
+    page = (out / "report.html").read_text()
+    assert page.count('class="footprint"') == 4
+    assert names[1] in page
 
 
 @pytest.mark.parametrize(
