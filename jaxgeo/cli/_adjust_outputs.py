@@ -182,4 +182,11 @@ def print_summary(content: dict[str, Any], found: Correction | None) -> None:
     for one in content["parameters"]:
         say(f"{one['of']} {one['name']}: {one['value']:.7g} +- {one['sigma']:.3g} {one['unit']}")
     say(found.words())
+    if "mosaic" in content:
+        one = content["mosaic"]
+        share = 100.0 * one["known"] / (one["rows"] * one["columns"])
+        say(
+            f"{one['file']}: {one['rows']} rows of {one['columns']} cells of {one['transform'][0]:.6g}, {one['crs']}; "
+            f"{share:.0f} % of them known"
+        )
     say(f"{', '.join(content['files'])}; {content['seconds']:.1f} s")

@@ -13,6 +13,7 @@ import typer
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._adjust_control import ControlOptions
+from jaxgeo.cli._adjust_mosaic import MosaicOptions
 from jaxgeo.cli._adjust_outputs import FILES, check_report, content_of, print_summary, write_files, write_page
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -79,6 +80,7 @@ def adjust_command(
             rich_help_panel=WRITING,
         ),
     ] = False,
+    of_mosaic: MosaicOptions = MosaicOptions(),
     of_control: ControlOptions = ControlOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
@@ -95,6 +97,7 @@ def adjust_command(
         given = OrientedImages(files, None, images, reading)
         given.check()
         of_control.check_options()
+        of_mosaic.check_options(output)
         _check_map(crs)
         if report:
             check_report()
@@ -111,6 +114,7 @@ def adjust_command(
             *([] if of_control.gcp is None else [of_control.gcp]),
         ]
         check_no_input("--output", [output / name for name in FILES], read)
+        of_mosaic.check_no_input(read)
         check_writable(output)
         began = time.perf_counter()
         compile_quickly()
@@ -122,6 +126,7 @@ def adjust_command(
 
         surveyed = of_control.read()
         views, paths, assumed, errors = _read(given)
+        of_mosaic.check_no_input(paths)
         control = None if surveyed is None else of_control.control(surveyed, views, assumed)
         if output.resolve() in {path.resolve().parent for path in paths}:
             raise UserError(
@@ -136,7 +141,7 @@ def adjust_command(
         ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
-        found, written = None, []
+        found, written, mosaic = None, [], None
         if control is not None or (ties.observations is not None and len(ties.parts[0]) > 1):
             with working("adjusting"):
                 found = _corrected(views, ties, _interior(views, errors) if self_calibrate else None, control)
@@ -144,7 +149,12 @@ def adjust_command(
             if report:
                 written.append(write_page(output, found, terrain, inputs, assumed))
             written = [f"{output / name}" for name in written]
+            if of_mosaic.mosaic is not None:
+                mosaic = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
+                written.append(mosaic["file"])
         content = content_of(views, ties, found, written, time.perf_counter() - began)
+        if mosaic is not None:
+            content["mosaic"] = mosaic
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": assumed, **content})
         else:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.locate_on_disk import intersect_files, locate_files
     from jaxgeo.io.located import accuracy_of_observations, locate_observations
     from jaxgeo.io.map_raster import MapRaster
+    from jaxgeo.io.mosaic import MosaicFile, write_mosaic
     from jaxgeo.io.navigation import read_navigation
     from jaxgeo.io.observation_reader import observations_of, read_observations
     from jaxgeo.io.observations import ObservationBatch, Observations
@@ -68,6 +69,7 @@ __all__ = [
     "GroundControl",
     "ImageError",
     "MapRaster",
+    "MosaicFile",
     "ObservationBatch",
     "Observations",
     "Orientations",
@@ -128,6 +130,7 @@ __all__ = [
     "write_footprints",
     "write_image_points",
     "write_image_ties",
+    "write_mosaic",
     "write_opensfm",
     "write_orientations",
     "write_orthoimage",
@@ -165,6 +168,7 @@ _NAMES_OF = {
     "locate_on_disk": "intersect_files locate_files",
     "located": "accuracy_of_observations locate_observations",
     "map_raster": "MapRaster",
+    "mosaic": "MosaicFile write_mosaic",
     "navigation": "read_navigation",
     "observation_reader": "observations_of read_observations",
     "observations": "ObservationBatch Observations",

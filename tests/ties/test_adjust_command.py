@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rasterio
+import rasterio.windows
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from support.image_folder import ImageFolder, write_folder
@@ -20,7 +22,7 @@ from jaxgeo import Gimbal, Mount, Sensor, Shot
 from jaxgeo.adjust import LocalFrame
 from jaxgeo.cli import app
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.io import Orientations, read_observations, read_opensfm, read_orientations
+from jaxgeo.io import Orientations, read_dem, read_observations, read_opensfm, read_orientations, rectify_file
 
 pytestmark = pytest.mark.costly
 
@@ -185,6 +187,33 @@ def test_control_that_does_not_belong_to_the_images_is_refused(tmp_path, here, c
     result = run(*here.arguments, *OPTIONS, "-o", tmp_path / "out", "--gcp", table, *typed)
     assert_refused(result, words)
     assert not (tmp_path / "out" / "matches").exists()
+
+
+def test_a_mosaic_shows_what_the_images_show(tmp_path, here, done) -> None:
+    """Grey values of its cells against the image rectified with its true pose: the adjusted images lie where they
+    should, to a fraction of the texture's width."""
+    out = tmp_path / "out"
+    shutil.copytree(done[0], out)
+    result = run(*here.arguments, *OPTIONS, "-o", out, "--mosaic", out / "m.tif", "--resolution", "0.8", "--json")
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)["mosaic"]
+    assert set(told["cells_by_image"]) == set(here.names[:4])
+    assert sum(told["cells_by_image"].values()) == told["known"] > 10_000
+    true = here.true[1]
+    terrain = read_dem(here.dem, vertical_datum="ellipsoid")
+    alone = rectify_file(
+        tmp_path / "1.tif", here.images / here.names[1], true.sensor, true.motion, terrain, crs=told["crs"],
+        resolution=0.8,
+    )  # fmt: skip
+    with rasterio.open(alone.path) as one, rasterio.open(out / "m.tif") as mosaic:
+        window = rasterio.windows.from_bounds(*one.bounds, mosaic.transform).round_offsets().round_lengths()
+        seen = mosaic.read(1, window=window, boundless=True).astype(float)
+        known = mosaic.read_masks(1, window=window, boundless=True) > 0
+        expected, both = one.read(1).astype(float), one.read_masks(1) > 0
+        assert mosaic.nodata is None
+    both &= known
+    assert both.mean() > 0.4
+    assert np.corrcoef(seen[both], expected[both])[0, 1] > 0.5
 
 
 def test_options_of_control_need_it(tmp_path, here) -> None:
