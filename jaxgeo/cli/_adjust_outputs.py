@@ -129,6 +129,7 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
     ]
     if found.control_residuals is not None:
         content["control"] = {
+            "added_sigma_px": found.excess_of_control,
             "points": of_control.rows_of_points(found.control_residuals),
             "left_out": [
                 {"point": one.point, "image": one.image or None, "standardised": one.standardised, "words": f"{one}"}

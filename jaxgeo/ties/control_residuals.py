@@ -97,14 +97,15 @@ def residuals_of(control: Control, found: Adjustment, excess: float) -> ControlR
     return ControlResiduals(ground.name, roles, images, enu, sigma_enu, marks.image, marks.point, px, sigma_px)
 
 
-def words_of(residuals: ControlResiduals, blunders: list[Blunder]) -> list[str]:
+def words_of(residuals: ControlResiduals, blunders: list[Blunder], excess: float) -> list[str]:
     """Control and check points as sentences."""
     lines = []
     used, checks = (int(np.count_nonzero(residuals.role == role)) for role in (USED, CHECK))
     if used:
         lines.append(
             f"Control points: {used} used, residuals {_metres(residuals.rms_enu(USED))} (RMS E, N, U) and "
-            f"{residuals.rms_px(USED):.2f} px."
+            f"{residuals.rms_px(USED):.2f} px"
+            + (f"; {excess:.2f} px added to the sigmas of their pixels." if excess >= 0.005 else ".")
         )
     lines += [f"Left out, as it does not fit: {re.sub(ROW, '', f'{one}')}." for one in blunders]
     if not checks:

@@ -36,7 +36,8 @@ class Correction:
     `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these.
 
     With `control`, `control_residuals` has the residuals of control points and check points with their predicted
-    standard deviations, and `blunders` the control points, and pixels of them, that did not fit.
+    standard deviations, and `blunders` the control points, and pixels of them, that did not fit; `excess_of_control` px
+    were added to the standard deviations of their pixels.
     """
 
     views: Views
@@ -52,6 +53,7 @@ class Correction:
     control: Control | None = None
     control_residuals: ControlResiduals | None = None
     blunders: list[Blunder] = field(default_factory=list)
+    excess_of_control: float = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -99,7 +101,7 @@ class Correction:
                 + (")." if self.views.common else ", as its errors are stated to be independent between images).")
             ]
         if self.control_residuals is not None:
-            lines += words_of(self.control_residuals, self.blunders)
+            lines += words_of(self.control_residuals, self.blunders, self.excess_of_control)
         if not self.adjustment.parameters:
             lines.append(
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
@@ -135,7 +137,8 @@ def correct(
     measurements off by more than four standard deviations; then by least squares of the rest. If residuals exceed what
     the standard deviations of the measurements explain, as those of lenses and terrain do, one standard deviation in px
     is added to all in quadrature: by the median residual at first, then so that the sum of squares has its expected
-    value, see `excess_of`. Control points, and pixels of them, that fail the test at 1e-4 against all others are left
+    value, see `excess_of`; for eight pixels of control points or more also by their own median, where it is too large
+    to be by chance. Control points, and pixels of them, that fail the test at 1e-4 against all others are left
     out, one after the other (`Correction.blunders`).
     `unknowns` adds a self-calibration (`images` are always free), `terrain` observations of the heights of the points.
     Points whose rays are parallel, as in images from one position, have no place and are left out.
@@ -234,7 +237,8 @@ def _correction(views: Views, final: Final, given: int, control: Control | None,
     return Correction(
         views=views,
         adjustment=found,
-        excess=excess,
+        excess=excess.ties,
+        excess_of_control=excess.control if final.kept.control.size else 0.0,
         rms_before=rms_of_rays(views, found.block.observations.seen_often()),
         rms_after=float(np.sqrt(np.mean(found.residuals**2))),
         moved=moved,
@@ -243,7 +247,7 @@ def _correction(views: Views, final: Final, given: int, control: Control | None,
         left_out=given - len(found.block.observations),
         unconnected=[str(name) for name in views.name if str(name) not in names],
         control=control,
-        control_residuals=None if control is None else residuals_of(control, found, excess),
+        control_residuals=None if control is None else residuals_of(control, found, excess.control),
         blunders=blunders,
     )
 

@@ -19,7 +19,7 @@ from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
 from jaxgeo.ties.control_tests import failing, fitting, named_blunders
-from jaxgeo.ties.excess import by_median, excess_of
+from jaxgeo.ties.excess import by_median, excess_of, of_few
 
 OUTLIER = 4.0  # standard deviations: larger residuals are left out
 # px: added to the standard deviations of image points in the first robust solution, which starts from the navigation,
@@ -42,26 +42,48 @@ class _Cauchy(AbstractLoss):
         return 1.0 / (1.0 + squared / self.width**2)
 
 
-def robust_solution(block: Block, unknowns: Unknowns, terrain: HeightObservations | None) -> tuple[Kept, Values, float]:
-    """(the measurements that fit, the robust solution, the standard deviation in px to add to theirs)."""
+class Excess(NamedTuple):
+    """Standard deviations in px that are added in quadrature to those of tie points, and of pixels of control."""
+
+    ties: float
+    control: float
+
+    def less_sure(self, block: Block) -> Block:
+        """The block with these added."""
+        observed = block.observations
+        added = np.where(_of_control(block), self.control, self.ties)
+        return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, added[:, None])))
+
+
+def _of_control(block: Block) -> np.ndarray:
+    """Flags (k,) of the pixels of control points."""
+    return np.isin(block.observations.point, control_of(block).name)
+
+
+def robust_solution(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None
+) -> tuple[Kept, Values, Excess]:
+    """(the measurements that fit, the robust solution, the standard deviations in px to add to theirs)."""
     first = kept = screened_of(block, unknowns, SIGMAS).kept
-    values, excess = None, FIRST_EXCESS
+    values, excess, is_mark = None, Excess(FIRST_EXCESS, FIRST_EXCESS), _of_control(block)
     for _ in range(ROUNDS):
-        less_sure = _less_sure(block, excess)
+        less_sure = excess.less_sure(block)
         full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
         solution = solve(masked(less_sure, full, kept).problem, _Cauchy(jnp.asarray(WIDTH)), start=values)
         values = solution.values
         residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
         largest, sigma = _largest(residuals, block.observations.sigma)
-        last, excess = excess, by_median(largest[kept.rows], sigma[kept.rows])
-        fits = largest <= OUTLIER * np.hypot(sigma, excess)
+        last, ties, marks = excess, kept.rows & ~is_mark, kept.rows & is_mark
+        of_ties = by_median(largest[ties], sigma[ties]) if np.any(ties) else 0.0
+        excess = Excess(of_ties, max(of_ties, of_few(largest[marks], sigma[marks])))
+        fits = largest <= OUTLIER * np.hypot(sigma, np.where(is_mark, excess.control, excess.ties))
         before, fits = kept, fits & _in_view(full, values)
         known = before.control & _control_fits(block, full, values, fits)
         kept = Kept(fits, known).whole(block)
         is_settled = (
             np.array_equal(before.rows, kept.rows)
             and np.array_equal(before.control, kept.control)
-            and abs(excess - last) <= ENOUGH * max(last, ENOUGH)
+            and all(abs(x - y) <= ENOUGH * max(y, ENOUGH) for x, y in zip(excess, last, strict=True))
         )
         if is_settled or not kept.leaves_every_image(block):
             break
@@ -77,12 +99,6 @@ def _control_fits(block: Block, full: Prepared, values: Values, fits: np.ndarray
     return (off <= OUTLIER) & ~np.isin(control_of(block).name, block.observations.point[~fits])
 
 
-def _less_sure(block: Block, excess: float) -> Block:
-    """The block with a standard deviation in px added to those of its image points."""
-    observed = block.observations
-    return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, excess)))
-
-
 def _largest(residuals: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The larger of the two residuals of each measurement, in standard deviations, and its standard deviation, px."""
     axis = np.argmax(np.abs(residuals / sigma), axis=1)
@@ -95,11 +111,11 @@ def _in_view(full: Prepared, values: Values) -> np.ndarray:
 
 
 class Final(NamedTuple):
-    """Least-squares adjustment of the kept measurements of a block, the standard deviation in px added to theirs, and
+    """Least-squares adjustment of the kept measurements of a block, the standard deviations in px added to theirs, and
     the arrays of the whole block."""
 
     found: Adjustment
-    excess: float
+    excess: Excess
     kept: Kept
     full: Prepared
 
@@ -110,24 +126,32 @@ def least_squares(
     terrain: HeightObservations | None,
     kept: Kept,
     values: Values,
-    excess: float,
+    excess: Excess,
 ) -> Final:
-    is_tie = ~np.isin(block.observations.point, control_of(block).name)[kept.rows]
+    """Least squares of what is kept, with `excess` by its residuals. Raises as `jaxgeo.adjust.adjust`."""
+    is_mark, given = _of_control(block)[kept.rows], block.observations.sigma[kept.rows]
     for last in (False, False, True):
-        less_sure = _less_sure(block, excess)
+        less_sure = excess.less_sure(block)
         full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, kept))
         ready = masked(less_sure, full, kept)
         solution = solve(ready.problem, _Cauchy(jnp.asarray(WIDEST)), start=values)
         values = solution.values
-        if not last and np.any(is_tie):
-            off = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place][is_tie]
-            points = len(np.unique(block.observations.point[kept.rows][is_tie]))
-            freedom = max(2 * len(off) - 6 * len(block.images) - 3 * points, 1)
-            sigma = block.observations.sigma[kept.rows][is_tie]
-            excess = excess_of(off * less_sure.observations.sigma[kept.rows][is_tie], sigma, freedom)
+        if not last:
+            off = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
+            excess = _excess_of(block, kept, off * less_sure.observations.sigma[kept.rows], given, is_mark)
     screen = Screen(kept)
     found = adjusted(block_of(less_sure, kept), unknowns, ready, solution, LeastSquares(), None, screen)
     return Final(found, excess, kept, full)
+
+
+def _excess_of(block: Block, kept: Kept, off: np.ndarray, sigma: np.ndarray, is_mark: np.ndarray) -> Excess:
+    """That by residuals `off` (k, 2) in px of what is kept, with their stated standard deviations."""
+    ties = 0.0
+    if not np.all(is_mark):
+        points = len(np.unique(block.observations.point[kept.rows][~is_mark]))
+        freedom = max(2 * int(np.count_nonzero(~is_mark)) - 6 * len(block.images) - 3 * points, 1)
+        ties = excess_of(off[~is_mark], sigma[~is_mark], freedom)
+    return Excess(ties, max(ties, of_few(*_largest(off[is_mark], sigma[is_mark]))))
 
 
 def without_wrong_control(
@@ -139,7 +163,7 @@ def without_wrong_control(
     """
     tried: list[Kept] = []
     for _ in range(3 * len(control_of(block))):
-        given = final.found, _less_sure(block, final.excess), final.full, final.kept
+        given = final.found, final.excess.less_sure(block), final.full, final.kept
         kept = failing(*given)
         if _same(kept, final.kept):
             kept = fitting(*given)
@@ -147,7 +171,7 @@ def without_wrong_control(
             break
         tried.append(final.kept)
         final = least_squares(block, unknowns, terrain, kept, final.found.solution.values, final.excess)
-    blunders = named_blunders(final.found, _less_sure(block, final.excess), final.full, final.kept)
+    blunders = named_blunders(final.found, final.excess.less_sure(block), final.full, final.kept)
     total, left = len(final.kept.control), int(np.sum(final.kept.control))
     if total > 1 and left < 0.5 * total:
         raise ValueError(
