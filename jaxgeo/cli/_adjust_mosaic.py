@@ -90,7 +90,7 @@ class MosaicOptions(OptionGroup):
             for one, given in zip(exposures_of(found.adjustment), air, strict=True)
         ]
         size = self._size
-        with progress_bar() as bar, translate_cell_errors(), translate_reach_errors():
+        with progress_bar() as bar, translate_cell_errors(several=True), translate_reach_errors():
             task = bar.add_task("rectifying", total=None)
             done = write_mosaic(
                 self.mosaic,

@@ -15,7 +15,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import names_of, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, read_csv
 from jaxgeo.io._text import read_text
-from jaxgeo.io.errors import OutsideDatum, TableError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.gcp import OFFSETS, read_gcp_list
 from jaxgeo.io.observations import Observations
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -93,6 +93,8 @@ def read_check_points(
     lat, lon, height = (table.numbers(name, limits) for name, limits in PLACE.items())
     try:
         height = ellipsoidal_heights(lon, lat, height, height_datum)
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
+        raise VerticalDatumError(f"{path}: {error}".replace("vertical_datum", "height_datum")) from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
     return SurveyedPixels(

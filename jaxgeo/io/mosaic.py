@@ -121,7 +121,10 @@ def write_mosaic(
             row, col = (round(x) for x in whole.rowcol(raster.transform.c, raster.transform.f))
             frames.append(_Frame(files[index], part, exposure, raster, row, col))
         if not frames:
-            raise NothingSeen(f"{target}: no image shows any ground; the first: {next(iter(left_out.values()))}")
+            raise NothingSeen(
+                f"{target}: no image shows any of its cells; are these too large, with resolution={resolution!r}, or "
+                f"the orientations wrong?"
+            )
         tags = {"INTERPOLATION": type(interpolation).__name__, "IMAGES": len(frames)}
         with OrthoWriter(target, whole, bands=bands, dtype=dtype, tags=tags) as sink:
             known, used = _write(sink, whole, frames, terrain, tell)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -82,10 +83,14 @@ class Control:
 def check_control(views: Views, control: Control) -> None:
     """Refuse control that does not belong to the images, before anything is matched or adjusted.
 
-    Raises `ValueError` for pixels in unknown images, outside of their image or without a ray of its lens, and for
-    points that are not where the navigation has them: all rays of whose pixels pass them by more than ten standard
-    deviations. If these are most of the points, the message has the shift on which all agree.
+    Raises `ValueError` for names of tie points ("tie 0"), for pixels in unknown images, outside of their image or
+    without a ray of its lens, and for points that are not where the navigation has them: all rays of whose pixels pass
+    them by more than ten standard deviations. If these are most of the points, the message has the shift on which all
+    agree.
     """
+    taken = [str(name) for name in control.name if re.fullmatch(r"tie \d+", str(name))]
+    if taken:
+        raise ValueError(f"point {taken[0]} has the name of a tie point; name it otherwise.")
     _check_images(views, control.marks)
     rays = _Rays.of(views, control)
     names, point = control.marks.point_numbers

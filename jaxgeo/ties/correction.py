@@ -21,6 +21,7 @@ from jaxgeo.ties.views import Views
 
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
+MUCH = 3.0  # standard deviations of the pixels of control: what their residuals add to these, if it is doubted
 GROUND = "\n"  # name of an image that shows all control points: none of a file has it
 
 
@@ -100,6 +101,11 @@ class Correction:
                 f"Images alone do not show a shift of all positions: it stays that of the navigation, {shift}"
                 + (")." if self.views.common else ", as its errors are stated to be independent between images).")
             ]
+        if self.control is not None and self.excess_of_control > MUCH * np.median(self.control.marks.sigma):
+            lines.append(
+                "The control fits much worse than its standard deviations explain: check its positions and pixels, and "
+                "the sigma of its survey."
+            )
         if self.control_residuals is not None:
             lines += words_of(self.control_residuals, self.blunders, self.excess_of_control)
         if not self.adjustment.parameters:

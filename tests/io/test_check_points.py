@@ -93,9 +93,8 @@ def test_check_points_are_marked_by_role_or_prefix(tmp_path) -> None:
 
 def test_pixels_as_control_of_a_block(tmp_path) -> None:
     text = f"{HEADER},role\ntwo,P,1,2,47,11,5,control\none,P,3,4,47,11,5,control\none.JPG,Q,5,6,47,11.1,5,check\n"
-    control = control_of(
-        read(tmp_path / "a.csv", text), ["one.JPG", "two.JPG"], sigma_enu=[0.1, 0.1, 0.2], sigma_px=0.4
-    )
+    surveyed = read(tmp_path / "a.csv", text)
+    control = control_of(surveyed, ["one.JPG", "two.JPG"], sigma_enu=[0.1, 0.1, 0.2], sigma_px=0.4)
     assert control.name.tolist() == ["P", "Q"]
     assert control.check == ("Q",)
     assert control.marks.image.tolist() == ["two.JPG", "one.JPG", "one.JPG"]

@@ -31,7 +31,8 @@ def here(tmp_path_factory) -> tuple[list[pathlib.Path], list[Exposure]]:
 @pytest.fixture(scope="module")
 def done(here, tmp_path_factory) -> MosaicFile:
     target = tmp_path_factory.mktemp("mosaic") / "all.tif"
-    return write_mosaic(target, *here, ground(), crs=UTM, resolution=CELL)
+    files, exposures = here
+    return write_mosaic(target, files, exposures, ground(), crs=UTM, resolution=CELL)
 
 
 def score_at(exposure: Exposure, east: np.ndarray, north: np.ndarray) -> np.ndarray:

@@ -138,6 +138,19 @@ def test_a_wrong_pixel_of_a_control_point_is_named(strip: Surveyed) -> None:
 
 
 @pytest.mark.costly
+def test_control_that_fits_much_worse_than_stated_is_doubted(strip: Surveyed) -> None:
+    """Pixels off by 3 px with stated 0.5 px: these are taken to be that much less sure, and it is said."""
+    marks = strip.control.marks
+    uv = marks.uv + 3.0 * np.random.default_rng(8).normal(size=marks.uv.shape)
+    found = corrected(
+        strip, replace(strip.control, marks=ImagePoints(marks.image, marks.point, uv, marks.sigma), check=())
+    )
+    assert 1.5 < found.excess_of_control < 4.5
+    assert "much worse than its standard deviations explain" in found.words()
+    assert "much worse" not in corrected(strip).words()
+
+
+@pytest.mark.costly
 def test_points_in_one_image_count(strip: Surveyed) -> None:
     """Two points in one image each hold the block better than the navigation does."""
     marks = strip.control.marks
