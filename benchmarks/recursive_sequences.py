@@ -7,8 +7,8 @@ place of 0.1 m, so that a map has something to show. Images 5 and 20 are registe
 0.3 m each, the terrain 1 m, a shift of the map of 0.2 m.
 
 Reported for each site, over the seeds: NEES (squared error by its covariance, over its degrees of freedom, with 95 %
-chi-square bounds) of all at once with the map (`correct(..., control=)`), and of the last window of the recursion, as
-long as the tracks and half as long; predicted and found errors of positions of all at once k images after the first
+chi-square bounds) of all at once with the map (`correct(..., map_control=)`), and of the last window of the recursion,
+as long as the tracks and half as long; predicted and found errors of positions of all at once k images after the first
 registered one, without the second, and of their distances from that; differences of the recursion from all at once in
 standard deviations. With --long, processor seconds of each image against its number, for one long strip.
 """
@@ -148,7 +148,7 @@ def figures(name: str, seeds: int, images: int) -> dict[str, Any]:
         shift = float(np.asarray(TIE_ERRORS.shift)) * rng.normal(size=2)
         found = {row: registered(site, given, row, shift, rng) for row in REGISTERED if row < images}
         control = MapControl.of(given, {str(given.name[row]): one for row, one in found.items()}, site.terrain)
-        batch = correct(given, seen, control=control)
+        batch = correct(given, seen, map_control=control)
         assert not batch.refused, batch.refused
         errors, covariance = of_batch(site, batch)
         squares["all at once"].append(float(errors.ravel() @ np.linalg.solve(covariance, errors.ravel())))
@@ -157,7 +157,7 @@ def figures(name: str, seeds: int, images: int) -> dict[str, Any]:
             late = np.concatenate([_error(site, frame) for frame in filtered.estimates])
             squares[f"window {one}"].append(float(late @ np.linalg.solve(filtered.covariance, late)))
             differences[one].append(off(site, batch, filtered.estimates))
-        alone = correct(given, seen, control=control.without([str(given.name[row]) for row in REGISTERED[1:]]))
+        alone = correct(given, seen, map_control=control.without([str(given.name[row]) for row in REGISTERED[1:]]))
         errors, covariance = of_batch(site, alone)
         sigma = np.sqrt(np.diagonal(covariance)).reshape(-1, 6)
         rows = [REGISTERED[0] + k for k in AFTER if REGISTERED[0] + k < images]

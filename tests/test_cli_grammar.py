@@ -207,6 +207,9 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--debug",
     f"adjust FILE --dem dem.tif {READING} -o out",
     "adjust FILE --images i --dem dem.tif --reference map.tif --reference-sigma 0.5 --register a --register b -o out",
+    "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 "
+    "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 --report "
+    "--mosaic m.tif --resolution 0.1 -o out",
     f"footprint FILE --dem dem.tif {FILE}",
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
@@ -344,6 +347,14 @@ REFUSED = [
     (
         "adjust DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif -o out",
         r"DJI_0042\.JPG: adjust needs two images or more; give a folder of images, or a file of poses with --images .*",
+    ),
+    (
+        "adjust images --camera-datum ellipsoid --dem dem.tif --resolution 1 -o out",
+        r"--resolution is for the cells of a mosaic; give --mosaic FILE too\.",
+    ),
+    (
+        "adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt -o out",
+        r"--gcp gcp_list\.txt: state the vertical datum of its heights with --gcp-datum.*",
     ),
     ("locte", r"locte: no such command; did you mean locate\? See jaxgeo --help\."),
     ("study li2024", r"li2024: no such command; did you mean li20\d\d\? See jaxgeo study --help\."),

@@ -164,6 +164,23 @@ def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array
 
 
 @batch_filter_jit
+def covariance_of_functions(
+    problem: Problem, posterior: Posterior, images: Float[Array, "d n c"], shared: Float[Array, "d s"]
+) -> Float[Array, "d d"]:
+    """Covariance of linear functions of the unknowns, by their derivatives for each image's own columns and for the
+    shared parameters. Without inner constraints."""
+    assert posterior.datum is None
+    of_images, of_shared = free_columns(problem)
+    images, shared = images * of_images[None], shared * of_shared[None]
+    found = jax.vmap(lambda one, other: solve_reduced(problem, posterior.factor, one, other))(images, shared)
+    total = jnp.einsum("dnc,enc->de", images, found[0]) + shared @ found[1].T
+    if posterior.weak is not None:
+        along = jnp.einsum("knc,dnc->kd", posterior.weak.images, images) + posterior.weak.shared @ shared.T
+        total = total + along.T @ along
+    return 0.5 * (total + total.T)
+
+
+@batch_filter_jit
 def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array, "rows 3 3"]:
     """Covariance of each point, m2."""
     found = [_by_chunks(problem, group, posterior, rays=False)[0] for group in problem.layout.groups]

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxgeo.cli import _adjust_control as of_control
+from jaxgeo.cli._common import UserError
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._screen import number_table, print_note
 
@@ -29,19 +31,31 @@ CAPTION = (
 TABLES = "orientations.csv", "ties.csv"
 OPENSFM = "opensfm/reconstruction.json"
 COLMAP = "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt"
-FILES = *TABLES, OPENSFM, *COLMAP
+CONTROL = "control.csv"
+PAGE = "report.html"
+FILES = *TABLES, CONTROL, PAGE, OPENSFM, *COLMAP
 SHOWN = 30  # images in the table on the screen
 
 
 def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> list[str]:
     """Write the tables and the models of OpenSfM and COLMAP; a note for a lens that these lack. Names of the files."""
-    from jaxgeo.io import orientations_of, write_colmap, write_image_ties, write_opensfm, write_orientations
+    from jaxgeo.io import (
+        orientations_of,
+        write_colmap,
+        write_control,
+        write_image_ties,
+        write_opensfm,
+        write_orientations,
+    )
     from jaxgeo.io.errors import UnwritableLens
 
     folder.mkdir(parents=True, exist_ok=True)
     adjustment, written = found.adjustment, [*TABLES]
     write_orientations(folder / TABLES[0], orientations_of(adjustment), crs=crs)
     write_image_ties(folder / TABLES[1], adjustment)
+    if found.control_residuals is not None:
+        write_control(folder / CONTROL, found.control_residuals)
+        written.append(CONTROL)
     (folder / OPENSFM).parent.mkdir(exist_ok=True)
     models = (
         ([OPENSFM], lambda: write_opensfm(folder / OPENSFM, adjustment)),
@@ -55,6 +69,27 @@ def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> lis
             continue
         written += names
     return written
+
+
+def check_report() -> None:
+    """Raises `UserError` where the packages of pages are missing."""
+    try:
+        import jaxgeo.report  # noqa: F401
+    except ImportError as error:
+        raise UserError(f"--report: {error}") from error
+
+
+def write_page(
+    folder: pathlib.Path, found: Correction, terrain: Any, inputs: dict[str, Any], assumed: list[str]
+) -> str:
+    """Write the report page. Its name."""
+    from jaxgeo.report import ReportHeader, write_correction_report
+    from jaxgeo.report.correction import TITLE
+
+    given = {name: value for name, value in inputs.items() if value is not None and value != []}
+    header = ReportHeader(TITLE, inputs=given, assumed=assumed)
+    write_correction_report(folder / PAGE, found, terrain, header=header)
+    return PAGE
 
 
 def content_of(views: Views, ties: Ties, found: Correction | None, files: list[str], seconds: float) -> dict[str, Any]:
@@ -92,6 +127,15 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
         }
         for k, name in enumerate(found.names)
     ]
+    if found.control_residuals is not None:
+        content["control"] = {
+            "added_sigma_px": found.excess_of_control,
+            "points": of_control.rows_of_points(found.control_residuals),
+            "left_out": [
+                {"point": one.point, "image": one.image or None, "standardised": one.standardised, "words": f"{one}"}
+                for one in found.blunders
+            ],
+        }
     return content | {
         "measurements": {"used": len(observed), "left_out": found.left_out},
         "residuals_rms_px": {"before": found.rms_before, "after": found.rms_after},
@@ -101,7 +145,7 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
         "turned_rms_deg": float(np.sqrt(np.mean(degrees**2))),
         "sigma_of_mean_position_m": found.sigma_of_mean.tolist(),
         "doubtful": found.doubtful,
-        "registered": [] if found.control is None else found.control.names,
+        "registered": [] if found.map_control is None else found.map_control.names,
         "registrations_refused": found.refused,
         "parameters": [
             {"of": p.whose, "name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit}
@@ -135,7 +179,17 @@ def print_summary(content: dict[str, Any], found: Correction | None) -> None:
     say(f"measurements: {used['used']} used, {used['left_out']} left out")
     say(f"moved by {content['moved_rms_m']:.3g} m, turned by {content['turned_rms_deg']:.3g} deg (RMS)")
     console.print(number_table(content["adjusted"][:SHOWN], IMAGES, CAPTION))
+    if "control" in content:
+        points = content["control"]["points"]
+        console.print(number_table(points[:SHOWN], of_control.COLUMNS, of_control.CAPTION))
     for one in content["parameters"]:
         say(f"{one['of']} {one['name']}: {one['value']:.7g} +- {one['sigma']:.3g} {one['unit']}")
     say(found.words())
+    if "mosaic" in content:
+        one = content["mosaic"]
+        share = 100.0 * one["known"] / (one["rows"] * one["columns"])
+        say(
+            f"{one['file']}: {one['rows']} rows of {one['columns']} cells of {one['transform'][0]:.6g}, {one['crs']}; "
+            f"{share:.0f} % of them known"
+        )
     say(f"{', '.join(content['files'])}; {content['seconds']:.1f} s")

@@ -64,6 +64,9 @@ EXAMPLES = {
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --no-self-calibrate -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --reference map.tif -o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt --gcp-datum EPSG:5773 "
+        "-o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --report --mosaic mosaic.tif -o adjusted",
     ),
     "dem": (
         "jaxgeo dem 36.31,-84.25 --radius 2000 -o ground.tif",

@@ -13,9 +13,11 @@ import typer
 
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._adjust_control import ControlOptions
 from jaxgeo.cli._adjust_map import MapOptions, rows_to_register
 from jaxgeo.cli._adjust_map import on_map as registered_to
-from jaxgeo.cli._adjust_outputs import FILES, content_of, print_summary, write_files
+from jaxgeo.cli._adjust_mosaic import MosaicOptions
+from jaxgeo.cli._adjust_outputs import FILES, check_report, content_of, print_summary, write_files, write_page
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
@@ -27,7 +29,7 @@ from jaxgeo.cli._screen import print_note, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
-    from jaxgeo.ties import Correction, KeptMatches, MapControl, Matching, Ties, Views
+    from jaxgeo.ties import Control, Correction, KeptMatches, MapControl, Matching, Ties, Views
 
 MATCHES = "matches"  # folder in that of the results, with those of the pairs
 INTERIOR = 0.005, 0.002, 0.002  # of the focal length: sigmas of focal length and principal point, if none is stated
@@ -73,6 +75,16 @@ def adjust_command(
             "--crs", metavar="CRS", help="Map of the orientations (x, y, z, omega, phi, kappa); default: lat, lon."
         ),
     ] = None,
+    report: Annotated[
+        bool,
+        typer.Option(
+            "--report",
+            help="Also write report.html: residual maps, corrections, check points, map of the block.",
+            rich_help_panel=WRITING,
+        ),
+    ] = False,
+    of_mosaic: MosaicOptions = MosaicOptions(),
+    of_control: ControlOptions = ControlOptions(),
     on_map: MapOptions = MapOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
@@ -81,15 +93,20 @@ def adjust_command(
 ) -> None:
     """Correct positions and attitudes of overlapping images by tie points among them; no map is needed.
 
-    The navigation is the prior, with the errors that the files state. With --reference, images are registered to a map
-    too, and tie points carry it to the others. Writes orientations.csv, ties.csv, and models of OpenSfM and COLMAP.
+    The navigation is the prior, with the errors that the files state; surveyed points (--gcp) are control, or checks.
+    With --reference, images are registered to a map too, and tie points carry it to the others. Writes
+    orientations.csv, ties.csv, control.csv, and models of OpenSfM and COLMAP.
     """
     inputs = given_options(locals())
     with report_errors(debug):
         given = OrientedImages(files, None, images, reading)
         given.check()
+        of_control.check_options()
+        of_mosaic.check_options(output)
         _check_map(crs)
         on_map.check()
+        if report:
+            check_report()
         if not given.are_several:
             if not files[0].exists() and ":" not in f"{files[0]}":
                 raise UserError(f"{files[0]}: there is no such file or folder.")
@@ -100,8 +117,9 @@ def adjust_command(
         from jaxgeo.io.paths import files_behind
 
         maps = [] if on_map.reference is None else files_behind(on_map.reference, reading_dem.reach)
-        inputs_read = [*given.inputs, *maps, *terrain_files(dem, reading_dem)]
-        check_no_input("--output", [output / name for name in FILES], inputs_read)
+        read_files = [*given.inputs, *maps, *terrain_files(dem, reading_dem), *of_control.files]
+        check_no_input("--output", [output / name for name in FILES], read_files)
+        of_mosaic.check_no_input(read_files)
         check_writable(output)
         began = time.perf_counter()
         compile_quickly()
@@ -111,7 +129,10 @@ def adjust_command(
         enable_x64()
         from jaxgeo.ties import KeptMatches as Kept
 
+        surveyed = of_control.read()
         views, paths, assumed, errors = _read(given)
+        of_mosaic.check_no_input(paths)
+        control = None if surveyed is None else of_control.control(surveyed, views, assumed)
         if output.resolve() in {path.resolve().parent for path in paths}:
             raise UserError(
                 f"--output {output}: the images are there; give another folder, such as {output / 'adjusted'}."
@@ -126,8 +147,8 @@ def adjust_command(
         ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
-        found, written, of_map = None, [], None
-        if ties.observations is not None and len(ties.parts[0]) > 1:
+        found, written, mosaic, of_map = None, [], None, None
+        if control is not None or (ties.observations is not None and len(ties.parts[0]) > 1):
             if chosen:
                 read = partial(_image, paths, reading_dem)
                 of_map = registered_to(views, chosen, read, errors, terrain, dem_sigma, on_map, reading_dem.reach)
@@ -136,11 +157,19 @@ def adjust_command(
                     print_note(f"assumed: {one}")
             with working("adjusting"):
                 unknowns = _interior(views, errors) if self_calibrate else None
-                found = _corrected(views, ties, unknowns, None if of_map is None else of_map.control)
-            written = [f"{output / name}" for name in write_files(output, found, crs)]
+                found = _corrected(views, ties, unknowns, control, None if of_map is None else of_map.control)
+            written = write_files(output, found, crs)
+            if report:
+                written.append(write_page(output, found, terrain, inputs, assumed))
+            written = [f"{output / name}" for name in written]
+            if of_mosaic.mosaic is not None:
+                mosaic = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
+                written.append(mosaic["file"])
         content = content_of(views, ties, found, written, time.perf_counter() - began)
         if of_map is not None:
             content["registrations"] = of_map.outcomes
+        if mosaic is not None:
+            content["mosaic"] = mosaic
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": assumed, **content})
         else:
@@ -307,11 +336,13 @@ def _interior(views: Views, errors: list[Any]) -> Unknowns:
     return Unknowns(focal=focal, principal=principal)
 
 
-def _corrected(views: Views, ties: Ties, unknowns: Unknowns | None, control: MapControl | None) -> Correction:
+def _corrected(
+    views: Views, ties: Ties, unknowns: Unknowns | None, control: Control | None, map_control: MapControl | None
+) -> Correction:
     from jaxgeo.adjust import DeficientBlock, NotConverged
     from jaxgeo.ties import correct
 
     try:
-        return correct(views, ties, unknowns, control=control)
+        return correct(views, ties, unknowns, control=control, map_control=map_control)
     except (DeficientBlock, NotConverged, ValueError) as error:
         raise UserError(f"the adjustment failed: {error}") from error

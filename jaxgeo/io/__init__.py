@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.archives import ArchiveError, DemCache, FetchedDem, fetch_dem, fetch_geoid
     from jaxgeo.io.bal import BalProblem, read_bal, write_bal
     from jaxgeo.io.check_points import SurveyedPixels, check_points_of, read_check_points
-    from jaxgeo.io.corrected import orientations_of, write_image_ties
+    from jaxgeo.io.corrected import exposures_of, orientations_of, write_image_ties
     from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
     from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
     from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
@@ -32,12 +32,14 @@ if TYPE_CHECKING:
     from jaxgeo.io.footprints import write_footprints
     from jaxgeo.io.gcp import GroundControl, read_gcp_list
     from jaxgeo.io.geoid import height_msl, undulation
+    from jaxgeo.io.ground_control import control_of, write_control
     from jaxgeo.io.height_sigmas import read_height_sigmas
     from jaxgeo.io.image_points import read_image_points, write_image_points
     from jaxgeo.io.images import read_image
     from jaxgeo.io.locate_on_disk import intersect_files, locate_files
     from jaxgeo.io.located import accuracy_of_observations, locate_observations
     from jaxgeo.io.map_raster import MapRaster
+    from jaxgeo.io.mosaic import MosaicFile, write_mosaic
     from jaxgeo.io.navigation import read_navigation
     from jaxgeo.io.observation_reader import observations_of, read_observations
     from jaxgeo.io.observations import ObservationBatch, Observations
@@ -67,6 +69,7 @@ __all__ = [
     "GroundControl",
     "ImageError",
     "MapRaster",
+    "MosaicFile",
     "ObservationBatch",
     "Observations",
     "Orientations",
@@ -82,8 +85,10 @@ __all__ = [
     "accuracy_map_dataset",
     "accuracy_of_observations",
     "check_points_of",
+    "control_of",
     "errors_table",
     "example_dem",
+    "exposures_of",
     "fetch_dem",
     "fetch_geoid",
     "height_msl",
@@ -118,12 +123,14 @@ __all__ = [
     "write_accuracy_map",
     "write_bal",
     "write_colmap",
+    "write_control",
     "write_errors",
     "write_exposures",
     "write_fixes",
     "write_footprints",
     "write_image_points",
     "write_image_ties",
+    "write_mosaic",
     "write_opensfm",
     "write_orientations",
     "write_orthoimage",
@@ -143,7 +150,7 @@ _NAMES_OF = {
     "archives": "ArchiveError DemCache FetchedDem fetch_dem fetch_geoid",
     "bal": "BalProblem read_bal write_bal",
     "check_points": "SurveyedPixels check_points_of read_check_points",
-    "corrected": "orientations_of write_image_ties",
+    "corrected": "exposures_of orientations_of write_image_ties",
     "datasets": "accuracy_map_dataset samples_dataset",
     "dem": "DemReport example_dem read_dem read_dem_and_report",
     "errors": "DemError ImageError TableError VerticalDatumError",
@@ -154,12 +161,14 @@ _NAMES_OF = {
     "footprints": "write_footprints",
     "gcp": "GroundControl read_gcp_list",
     "geoid": "height_msl undulation",
+    "ground_control": "control_of write_control",
     "height_sigmas": "read_height_sigmas",
     "image_points": "read_image_points write_image_points",
     "images": "read_image",
     "locate_on_disk": "intersect_files locate_files",
     "located": "accuracy_of_observations locate_observations",
     "map_raster": "MapRaster",
+    "mosaic": "MosaicFile write_mosaic",
     "navigation": "read_navigation",
     "observation_reader": "observations_of read_observations",
     "observations": "ObservationBatch Observations",

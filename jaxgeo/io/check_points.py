@@ -15,7 +15,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import names_of, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, read_csv
 from jaxgeo.io._text import read_text
-from jaxgeo.io.errors import OutsideDatum, TableError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.gcp import OFFSETS, read_gcp_list
 from jaxgeo.io.observations import Observations
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -27,6 +27,8 @@ PLACE = {name: POSE_COLUMNS[name] for name in ("lat_deg", "lon_deg", "height_m")
 NEEDED = ("image", "point", *PIXEL_COLUMNS, *PLACE)
 SURVEY = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 OF_PIXEL = ("sigma_u_px", "sigma_v_px")
+HELD_BACK = "CHK-"  # beginning of the names of check points in files of OpenDroneMap
+ROLES = {"control": False, "check": True}
 METRES: Limits = (1e-9, 1e6, "m")
 PIXELS: Limits = (1e-9, 1e6, "pixels")
 
@@ -35,7 +37,8 @@ PIXELS: Limits = (1e-9, 1e6, "pixels")
 class SurveyedPixels:
     """n pixels of surveyed points: names of `image` and `point`, pixels `uv` (n, 2), `position` (n,).
 
-    `sigma_enu` (n, 3) in m, `sigma_px` (n, 2) and the `flight` are None if the file does not state them.
+    `sigma_enu` (n, 3) in m, `sigma_px` (n, 2) and the `flight` are None if the file does not state them. `is_check`
+    (n,) flags points to hold back from an adjustment; None if the file names none.
     """
 
     image: np.ndarray
@@ -45,6 +48,7 @@ class SurveyedPixels:
     sigma_enu: np.ndarray | None = None
     sigma_px: np.ndarray | None = None
     flight: np.ndarray | None = None
+    is_check: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.image)
@@ -58,7 +62,9 @@ def read_check_points(
     Either the `gcp_list.txt` of OpenDroneMap (see `read_gcp_list`), or a CSV file with a row for each pixel and the
     columns `image`, `point`, `u`, `v` (pixels, centres at integers), `lat_deg`, `lon_deg`, `height_m`; optionally the
     standard deviations `sigma_east_m`, `sigma_north_m`, `sigma_up_m` of the survey and `sigma_px`, or `sigma_u_px` and
-    `sigma_v_px`, of the pixel, and `flight`. `height_datum` and `pixel_origin` are as for `read_gcp_list`.
+    `sigma_v_px`, of the pixel, and `flight`, and `role`, "control" or "check": points to hold back from an adjustment.
+    In a `gcp_list.txt` names that begin with "CHK-" are check points, as in OpenDroneMap. `height_datum` and
+    `pixel_origin` are as for `read_gcp_list`.
 
     Raises `TableError` (row and column named) for missing columns, cells that are not numbers or out of range,
     sigmas that are not positive, empty names, and a point measured twice in an image; `VerticalDatumError`;
@@ -70,7 +76,14 @@ def read_check_points(
         row = {name: number for number, name in enumerate(found.names.tolist())}
         index = np.array([row[name] for name in found.points.point.tolist()])
         position = jax.tree.map(lambda x: np.asarray(x)[index], found.position)
-        return SurveyedPixels(found.points.image, found.points.point, found.points.uv, position)
+        is_check = np.char.startswith(np.char.upper(found.points.point), HELD_BACK)
+        return SurveyedPixels(
+            found.points.image,
+            found.points.point,
+            found.points.uv,
+            position,
+            is_check=is_check if any(is_check) else None,
+        )
     if pixel_origin not in OFFSETS:
         raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
     table = read_csv(path, "table of check points", NEEDED)
@@ -80,6 +93,8 @@ def read_check_points(
     lat, lon, height = (table.numbers(name, limits) for name, limits in PLACE.items())
     try:
         height = ellipsoidal_heights(lon, lat, height, height_datum)
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
+        raise VerticalDatumError(f"{path}: {error}".replace("vertical_datum", "height_datum")) from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
     return SurveyedPixels(
@@ -90,6 +105,7 @@ def read_check_points(
         _sigmas(table, SURVEY, None, METRES),
         _sigmas(table, OF_PIXEL, "sigma_px", PIXELS),
         names_of(table, "flight") if "flight" in table.header else None,
+        _held_back(table, point) if "role" in table.header else None,
     )
 
 
@@ -106,7 +122,8 @@ def check_points_of(
     Raises `TableError` for an image that is not there, could not be read, or whose name fits several, and for images
     whose cameras, gimbals or kinds of errors differ (compare them in groups).
     """
-    rows = np.array([_row_of(observed, surveyed, number) for number in range(len(surveyed))])
+    names = [str(row.get("name", "")) for row in observed.columns]
+    rows = np.array([_row_of(observed, names, surveyed, number) for number in range(len(surveyed))])
     places = [observed.place(int(row)) for row in rows]
     batches = sorted({batch for batch, _ in places})
     if len(batches) > 1:
@@ -154,12 +171,32 @@ def _sigmas(table: CsvTable, each: tuple[str, ...], both: str | None, limits: Li
     return np.stack([table.numbers(name, limits) for name in each], axis=-1)
 
 
-def _row_of(observed: Observations, surveyed: SurveyedPixels, number: int) -> int:
+def _held_back(table: CsvTable, point: np.ndarray) -> np.ndarray:
+    """The column `role` as flags of check points, equal in all rows of a point."""
+    roles = names_of(table, "role").tolist()
+    first: dict[str, str] = {}
+    for row, (name, role) in enumerate(zip(point.tolist(), roles, strict=True)):
+        if role.lower() not in ROLES:
+            raise table.wrong(row, "role", f"{role!r} is none of control, check.")
+        if first.setdefault(name, role.lower()) != role.lower():
+            raise table.wrong(row, "role", f"point {name} is a {first[name]} point above.")
+    return np.array([ROLES[role.lower()] for role in roles])
+
+
+def _row_of(observed: Observations, names: list[str], surveyed: SurveyedPixels, number: int) -> int:
     """Row of the image of a pixel."""
-    name = f"{surveyed.image[number]}"
-    names = [str(row.get("name", "")) for row in observed.columns]
     if len(names) == 1 and not names[0]:
         return 0  # a scene has no name of its image
+    row = row_of_image(names, surveyed, number)
+    if row in observed.unread:
+        name = f"{surveyed.image[number]}"
+        raise TableError(f"image {name} of point {surveyed.point[number]}: {observed.unread[row].reason}")
+    return row
+
+
+def row_of_image(names: list[str], surveyed: SurveyedPixels, number: int) -> int:
+    """Index of the image of a pixel among names of images, with or without folder and ending. Raises `TableError`."""
+    name = f"{surveyed.image[number]}"
     tried: tuple[Any, ...] = (
         str,
         lambda one: pathlib.PurePath(one).name,
@@ -168,8 +205,6 @@ def _row_of(observed: Observations, surveyed: SurveyedPixels, number: int) -> in
     for same in tried:
         found = [row for row, one in enumerate(names) if same(one) == same(name)]
         if len(found) == 1:
-            if found[0] in observed.unread:
-                raise TableError(f"image {name} of point {surveyed.point[number]}: {observed.unread[found[0]].reason}")
             return found[0]
         if found:
             raise TableError(f"image {name} of point {surveyed.point[number]} may be {len(found)} of the images.")

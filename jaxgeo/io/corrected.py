@@ -6,6 +6,7 @@ import csv
 import os
 import pathlib
 
+import jax
 import numpy as np
 
 from jaxgeo._destination import destination
@@ -13,7 +14,8 @@ from jaxgeo.adjust import Adjustment, LocalFrame
 from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io.opensfm import Reconstruction
 from jaxgeo.io.orientations import Orientations
-from jaxgeo.sensor import Pose
+from jaxgeo.observation import Exposure
+from jaxgeo.sensor import Gimbal, Mount, Pose, Sensor, Shot
 
 STEP = 1e-6  # rad: of the differences between angles
 TIE_COLUMNS = ("image", "point", "u", "v", "sigma_u_px", "sigma_v_px", "residual_u_px", "residual_v_px")
@@ -35,6 +37,20 @@ def orientations_of(found: Adjustment) -> Orientations:
     east_north_up = np.diagonal(covariance, axis1=1, axis2=2)[:, :3]
     sigma = np.sqrt(np.maximum(np.concatenate([east_north_up[:, [1, 0, 2]], angles], axis=1), 0.0))
     return Orientations(images.name, pose, camera=images.camera, sigma=sigma, of_camera=True)
+
+
+def exposures_of(found: Adjustment) -> list[Exposure]:
+    """The adjusted images as exposures, in their order: each of a sensor whose camera looks down from the body.
+
+    Raises `TypeError` for a block off the Earth.
+    """
+    poses, images, cameras = orientations_of(found).pose, found.images, found.cameras
+    sensors = {name: Sensor(camera, Gimbal.fixed(), Mount.nadir()) for name, camera in cameras.items()}
+    exposures = []
+    for row, camera in enumerate(images.camera.tolist()):
+        pose = jax.tree.map(lambda x, row=row: np.asarray(x)[row], poses)
+        exposures.append(Exposure(sensors[camera], Shot(pose, np.zeros(0))))
+    return exposures
 
 
 def write_image_ties(path: str | os.PathLike[str], found: Adjustment) -> None:

@@ -94,11 +94,11 @@ def report_html(
     charts: dict[str, Any] = {"map": map_of(subject, details, rows, places, reliefs)}
     shown = [_shown(subject, number, detail, rows, charts) for number, detail in enumerate(details)]
     return (
-        _environment()
+        environment()
         .get_template("page.html")
         .render(
             header=header,
-            made=_made(header),
+            made=created(header),
             version=versions().get("jaxgeo", "not installed"),
             percent=words.percent_name(subject.probability),
             summary=summary_of(subject, rows) if len(subject) > len(details) or not details else None,
@@ -113,7 +113,7 @@ def report_html(
             has_heights=bool(heights),
             table=table_of(subject, rows),
             camera=camera_of(subject, details[0].index if details else 0),
-            inputs=_plain_inputs(header.inputs),
+            inputs=plain_inputs(header.inputs),
             versions=versions() | {"bokeh": importlib.metadata.version("bokeh")},
             numbers=_script_data(_for_script(charts, places, heights, subject, details)),
             library=Markup(_library()),
@@ -250,17 +250,19 @@ def _library() -> str:
     return script.replace("</script", "<\\/script")
 
 
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
+    """Templates of the pages."""
     loader = jinja2.PackageLoader("jaxgeo.report", "templates")
     return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
 
 
-def _made(header: ReportHeader) -> str:
+def created(header: ReportHeader) -> str:
+    """Creation time of a page as text."""
     made = datetime.datetime.now(datetime.UTC) if header.made is None else header.made
     return made.astimezone(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _plain_inputs(inputs: Mapping[str, Any]) -> list[tuple[str, str]]:
+def plain_inputs(inputs: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Names and values as text."""
     return [(str(name).replace("_", " "), _in_words(value)) for name, value in inputs.items()]
 

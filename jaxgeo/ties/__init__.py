@@ -1,6 +1,8 @@
 """Tie points between images, and the mutual correction of their orientations without a map."""
 
 from jaxgeo.ties.block import MatchedPair, Ties, find_ties
+from jaxgeo.ties.control import Control, check_control
+from jaxgeo.ties.control_residuals import ControlResiduals
 from jaxgeo.ties.correction import Correction, correct
 from jaxgeo.ties.kept import KeptMatches
 from jaxgeo.ties.map_control import MapControl
@@ -12,6 +14,8 @@ from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
 __all__ = [
+    "Control",
+    "ControlResiduals",
     "Correction",
     "FrameEstimate",
     "KeptMatches",
@@ -26,6 +30,7 @@ __all__ = [
     "Ties",
     "Views",
     "candidate_pairs",
+    "check_control",
     "connected",
     "correct",
     "find_ties",

@@ -21,7 +21,8 @@ from jaxgeo.adjust.screening import Screen
 from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
 from jaxgeo.ties.map_control import MapControl
-from jaxgeo.ties.robust import WIDEST, ScaledCauchy, less_sure
+from jaxgeo.ties.robust import WIDEST, ScaledCauchy
+from jaxgeo.ties.solutions import Excess
 
 IMPROBABLE = 1e-6  # registrations whose measurements are less probable are left out
 LEAST_LEFT = 1e-9  # variance of a residual of unit weight: lower bound, against rounding
@@ -32,20 +33,20 @@ UNCLEAR = "its registration and another one contradict each other, and nothing t
 
 @dataclass(frozen=True)
 class Tied:
-    """A block whose measurements are chosen, and the standard deviation in px to add to theirs."""
+    """A block whose measurements are chosen, and the standard deviations in px to add to theirs."""
 
     block: Block
     unknowns: Unknowns
     terrain: HeightObservations | None
     kept: Kept
-    excess: float
+    excess: Excess
 
     def adjusted_to(self, control: MapControl, start: Values) -> Adjustment:
         """Least squares with map control, from a start without it."""
         assert self.block.navigation is not None
         rows = control.rows_of([str(name) for name in self.block.images.name])
         navigation = replace(self.block.navigation, pose_rows=rows)
-        block = replace(less_sure(self.block, self.excess), navigation=navigation)
+        block = replace(self.excess.less_sure(self.block), navigation=navigation)
         ready = masked(block, prepared(block, self.unknowns, self.terrain, set_aside(block, self.kept)), self.kept)
         added = len(ready.names.common) - len(start.common)
         start = eqx.tree_at(lambda v: v.common, start, jnp.pad(start.common, (0, added)))
@@ -70,8 +71,8 @@ def with_control(free: Adjustment, tied: Tied, control: MapControl) -> Chosen:
     problem, start = free.prepared.problem, free.solution.values
     if problem.own_lens and problem.active:
         raise ValueError(
-            "control needs a camera that several images share if its interior orientation is unknown; here each image "
-            "has its own. Leave the self-calibration out."
+            "map_control needs a camera that several images share if its interior orientation is unknown; here each "
+            "image has its own. Leave the self-calibration out."
         )
     names = {str(name) for name in free.images.name}
     refused = {name: UNTIED for name in control.names if name not in names}

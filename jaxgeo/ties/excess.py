@@ -8,6 +8,10 @@ import numpy as np
 
 MEDIAN = 1.054  # median of the larger of two normal numbers
 STEPS = 60  # halvings
+FEWEST = 8  # measurements whose median says something
+# 2.33 times 1 / (2 f), the standard deviation of the median times the root of their number; f = 0.649 is the density of
+# the larger of two normal numbers at its median.
+BY_CHANCE = 1.8
 
 
 def excess_of(residuals: np.ndarray, sigma: np.ndarray, freedom: int) -> float:
@@ -25,6 +29,15 @@ def excess_of(residuals: np.ndarray, sigma: np.ndarray, freedom: int) -> float:
 def by_median(largest: np.ndarray, sigma: np.ndarray) -> float:
     """As `excess_of`, but robust: by the median of the larger residual of each measurement."""
     return _root(lambda excess: float(np.median(largest / np.hypot(sigma, excess))) - MEDIAN, largest)
+
+
+def of_few(largest: np.ndarray, sigma: np.ndarray) -> float:
+    """As `by_median`, for few measurements: zero unless the median is larger than it is by chance in one of a hundred
+    cases, and for fewer than eight."""
+    count = len(largest)
+    if count < FEWEST or np.median(largest / sigma) <= MEDIAN + BY_CHANCE / np.sqrt(count):
+        return 0.0
+    return by_median(largest, sigma)
 
 
 def _root(too_large: Callable[[float], float], residuals: np.ndarray) -> float:

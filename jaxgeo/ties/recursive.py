@@ -15,8 +15,8 @@ from jaxgeo.observation import Exposure
 from jaxgeo.register.registration import Registration
 from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, information_of
 from jaxgeo.ties.control_choice import CONTRADICTS, IMPROBABLE, UNCLEAR, chance
-from jaxgeo.ties.correction import LEAST_ATTITUDE, LEAST_POSITION, information_of
 from jaxgeo.ties.drift import Drifting, drifting
 from jaxgeo.ties.map_control import Measured, measured_by
 from jaxgeo.ties.views import are_equal, check_errors, checked_frame, pose_errors

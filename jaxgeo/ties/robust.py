@@ -1,14 +1,11 @@
-"""Loss and weights of image points in the adjustment of tie points."""
+"""Loss of image points in the adjustment of tie points."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jax.numpy as jnp
-import numpy as np
 
 from jaxgeo._typing import Numbers, Scalar
-from jaxgeo.adjust import AbstractLoss, Block
+from jaxgeo.adjust import AbstractLoss
 
 WIDTH, WIDEST = 3.0, 1e6  # standard deviations: of the robust loss, and of one that is least squares
 
@@ -23,9 +20,3 @@ class ScaledCauchy(AbstractLoss):
 
     def weight(self, squared: Numbers) -> Numbers:
         return 1.0 / (1.0 + squared / self.width**2)
-
-
-def less_sure(block: Block, excess: float) -> Block:
-    """The block with a standard deviation in px added to those of its image points."""
-    observed = block.observations
-    return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, excess)))

@@ -21,6 +21,7 @@ from jaxgeo.io import (
     SurveyedPixels,
     TableError,
     check_points_of,
+    control_of,
     errors_table,
     read_check_points,
     read_gcp_list,
@@ -78,9 +79,39 @@ def test_sigmas_and_flights_of_a_table(tmp_path) -> None:
     assert corner.uv.tolist() == [[0.5, 1.5]]
 
 
+def test_check_points_are_marked_by_role_or_prefix(tmp_path) -> None:
+    """As OpenDroneMap's lists mark them: names that begin with CHK-."""
+    table = read(tmp_path / "a.csv", f"{HEADER},role\na,P,1,2,47,11,5,control\na,Q,1,2,47,11,5,Check\n")
+    assert table.is_check is not None
+    assert table.is_check.tolist() == [False, True]
+    path = tmp_path / "gcp_list.txt"
+    path.write_text("EPSG:32632\n600000 5200000 9 1 2 a.jpg P\n600001 5200000 9 1 2 b.jpg CHK-1\n")
+    listed = read_check_points(path, height_datum="ellipsoid")
+    assert listed.is_check is not None
+    assert listed.is_check.tolist() == [False, True]
+
+
+def test_pixels_as_control_of_a_block(tmp_path) -> None:
+    text = f"{HEADER},role\ntwo,P,1,2,47,11,5,control\none,P,3,4,47,11,5,control\none.JPG,Q,5,6,47,11.1,5,check\n"
+    surveyed = read(tmp_path / "a.csv", text)
+    control = control_of(surveyed, ["one.JPG", "two.JPG"], sigma_enu=[0.1, 0.1, 0.2], sigma_px=0.4)
+    assert control.name.tolist() == ["P", "Q"]
+    assert control.check == ("Q",)
+    assert control.marks.image.tolist() == ["two.JPG", "one.JPG", "one.JPG"]
+    assert control.sigma_enu.tolist() == [[0.1, 0.1, 0.2]] * 2
+    assert np.rad2deg(control.position.lon).tolist() == pytest.approx([11.0, 11.1])
+    other = text.replace("one,P,3,4,47,11,5", "one,P,3,4,47.001,11,5")
+    with pytest.raises(TableError, match="point P has another position with its pixel in image one than before"):
+        control_of(read(tmp_path / "b.csv", other), ["one.JPG", "two.JPG"], sigma_enu=0.1, sigma_px=0.4)
+    with pytest.raises(TableError, match=r"image two of point P is not among the images: one\.JPG"):
+        control_of(surveyed, ["one.JPG"], sigma_enu=0.1, sigma_px=0.4)
+
+
 @pytest.mark.parametrize(
     "text, words",
     [
+        (f"{HEADER},role\na,P,1,2,47,11,5,tie\n", r"row 2, column role: 'tie' is none of control, check"),
+        (f"{HEADER},role\na,P,1,2,47,11,5,check\nb,P,1,2,47,11,5,control\n", r"row 3, .* P is a check point above"),
         (f"{HEADER}\n", r"no rows below the header"),
         (f"{HEADER}\na,P,1,2,47,11,nan\n", r"row 2, column height_m: unknown"),
         (f"{HEADER},sigma_px\na,P,1,2,47,11,5,0\n", r"row 2, column sigma_px: 0 is outside \[1e-09, .*\] pixels\."),

@@ -104,7 +104,7 @@ def dense(found: Correction, prior: np.ndarray, ties: TiePoints, row: int) -> np
 def test_covariance_is_that_of_dense_least_squares() -> None:
     of = drawn(0, COUNT, disturbed=False)  # so that the loss of the registration weighs no tie less
     registration = registered(of, ROW)
-    found = correct(of.given, of.seen, control=control_of(of, {ROW: registration}))
+    found = correct(of.given, of.seen, map_control=control_of(of, {ROW: registration}))
     expected = dense(found, prior_of(of.given), registration.ties, ROW)
     scale = np.sqrt(np.diagonal(expected))
     columns = [name for _, name in found.adjustment.columns]
@@ -121,7 +121,7 @@ def test_errors_are_as_predicted() -> None:
     squares, shifts, before, after = 0.0, 0.0, [], []
     for seed in range(SEEDS):
         of = drawn(seed, COUNT)
-        found = correct(of.given, of.seen, control=control_of(of, {ROW: registered(of, ROW), 7: registered(of, 7)}))
+        found = correct(of.given, of.seen, map_control=control_of(of, {ROW: registered(of, ROW), 7: registered(of, 7)}))
         assert not found.refused
         adjusted = found.adjustment
         errors = errors_of(of, found.names, adjusted.images.centre, adjusted.images.R_frame_from_camera)
@@ -149,7 +149,7 @@ def test_uncertainty_grows_with_the_distance_from_the_registered_image() -> None
     exact = TieErrors(registration=0.1, terrain=0.1)
     registration = registered(replace(of, given=given, shift=np.zeros(2)), 0, exact)
     control = MapControl.of(given, {"image 00": registration}, TERRAIN)
-    found = correct(given, of.seen, control=control)
+    found = correct(given, of.seen, map_control=control)
     size = np.linalg.norm(found.adjustment.sigma_of_images[:, :3], axis=1)
     assert np.all(np.diff(size[1:]) > 0.0)
     assert size[8] > 2.0 * size[1]
@@ -162,7 +162,7 @@ def test_uncertainty_grows_with_the_distance_from_the_registered_image() -> None
 def test_without_a_map_the_common_shift_keeps_its_prior() -> None:
     of = drawn(0, COUNT)
     free = correct(of.given, of.seen)
-    tied = correct(of.given, of.seen, control=control_of(of, {ROW: registered(of, ROW)}))
+    tied = correct(of.given, of.seen, map_control=control_of(of, {ROW: registered(of, ROW)}))
     for axis in ("north", "east", "down"):
         assert free.adjustment.common[f"position 2: {axis}"][1] > 0.98
         assert tied.adjustment.common[f"position 2: {axis}"][1] < 0.5
@@ -176,27 +176,27 @@ def test_wrong_registrations_are_left_out() -> None:
     of = drawn(3, COUNT)
     good = {ROW: registered(of, ROW), 8: registered(of, 8)}
     wrong = registered(of, 6, blunder=(6.0, 0.0))  # well within the navigation's errors
-    found = correct(of.given, of.seen, control=control_of(of, {**good, 6: wrong}))
+    found = correct(of.given, of.seen, map_control=control_of(of, {**good, 6: wrong}))
     assert list(found.refused) == ["image 06"]
-    assert found.control is not None
-    assert found.control.names == ["image 02", "image 08"]
-    expected = correct(of.given, of.seen, control=control_of(of, good))
+    assert found.map_control is not None
+    assert found.map_control.names == ["image 02", "image 08"]
+    expected = correct(of.given, of.seen, map_control=control_of(of, good))
     assert np.allclose(found.moved, expected.moved, atol=1e-6)
     assert "image 06" in found.words()
     # Of two that contradict each other nothing tells which one is wrong.
-    both = correct(of.given, of.seen, control=control_of(of, {ROW: good[ROW], 6: wrong}))
+    both = correct(of.given, of.seen, map_control=control_of(of, {ROW: good[ROW], 6: wrong}))
     assert sorted(both.refused) == ["image 02", "image 06"]
-    assert both.control is None
+    assert both.map_control is None
     assert np.allclose(both.moved, correct(of.given, of.seen).moved, atol=1e-9)
     # One alone is held against the navigation of all images.
     far = registered(of, ROW, blunder=(40.0, 0.0))
-    assert list(correct(of.given, of.seen, control=control_of(of, {ROW: far})).refused) == ["image 02"]
+    assert list(correct(of.given, of.seen, map_control=control_of(of, {ROW: far})).refused) == ["image 02"]
 
 
 def test_images_without_ties_do_not_carry_the_map() -> None:
     of = drawn(0, COUNT)
     cut = of.seen.of(of.seen.image != "image 02").seen_often()
-    found = correct(of.given, cut, control=control_of(of, {ROW: registered(of, ROW)}))
+    found = correct(of.given, cut, map_control=control_of(of, {ROW: registered(of, ROW)}))
     assert "no tie points join" in found.refused["image 02"]
     assert found.unconnected == ["image 02"]
 
@@ -209,7 +209,8 @@ def test_terrain_errors_are_common_where_they_are_stated_so() -> None:
     update = replace(registration.update, errors=ErrorModel((*ERRORS, bias)))
     biased = replace(registration, update=update)
     found, plain = (
-        correct(of.given, of.seen, control=control_of(of, {ROW: one})).sigma_of_mean for one in (biased, registration)
+        correct(of.given, of.seen, map_control=control_of(of, {ROW: one})).sigma_of_mean
+        for one in (biased, registration)
     )
     of_navigation = OFFSET**2 + POSITION**2 / COUNT
     of_map = 1.0 / (1.0 / plain[2] ** 2 - 1.0 / of_navigation)
@@ -223,7 +224,7 @@ def test_correlated_heights_average_less_than_independent_ones() -> None:
     sizes = []
     for one in errors:
         registration = replace(registered(of, ROW), tie_errors=one)
-        sizes.append(correct(of.given, of.seen, control=control_of(of, {ROW: registration})).sigma_of_mean[2])
+        sizes.append(correct(of.given, of.seen, map_control=control_of(of, {ROW: registration})).sigma_of_mean[2])
     assert sizes[0] > 2.0 * sizes[1]
 
 
@@ -254,7 +255,7 @@ def test_self_calibration_takes_the_map_in() -> None:
     found = {row: registered(of, row) for row in (1, 7)}
     unknowns = Unknowns(focal=Prior(3.0))
     corrected = correct(
-        given, of.seen, unknowns, control=MapControl.of(given, {names[k]: found[k] for k in found}, TERRAIN)
+        given, of.seen, unknowns, map_control=MapControl.of(given, {names[k]: found[k] for k in found}, TERRAIN)
     )
     assert not corrected.refused
     free = correct(given, of.seen, unknowns)
@@ -276,8 +277,8 @@ def test_control_that_cannot_be_used_is_refused() -> None:
         control_of(of, {ROW: lost})
     with pytest.raises(ValueError, match="different standard deviations of the map's shift"):
         control_of(of, {ROW: good, 5: other})
-    with pytest.raises(TypeError, match="control"):
-        correct(of.given, of.seen, control={"image 02": good})  # pyright: ignore
+    with pytest.raises(TypeError, match="map_control"):
+        correct(of.given, of.seen, map_control={"image 02": good})  # pyright: ignore
 
 
 def test_observations_are_those_of_the_orientation_update() -> None:

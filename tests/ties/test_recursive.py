@@ -66,7 +66,7 @@ def test_one_after_another_is_all_at_once(rows: tuple[int, ...]) -> None:
     control = (
         MapControl.of(of.given, {str(of.given.name[row]): one for row, one in found.items()}, TERRAIN) if rows else None
     )
-    batch = correct(of.given, of.seen, control=control)
+    batch = correct(of.given, of.seen, map_control=control)
     assert batch.left_out == 0
     filtered, _ = run(of, LONGEST, found, batch.excess)
     for one in filtered.estimates:

@@ -1,0 +1,48 @@
+"""Blocks of views: images, measurements and control, with the navigation of the cameras themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxgeo.adjust import Block, GroundPoints, ImagePoints, Images, Navigation
+from jaxgeo.sensor import Mount
+from jaxgeo.ties.views import Views
+
+LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
+
+
+def block_of_views(views: Views, observations: ImagePoints, ground: GroundPoints | None = None) -> Block:
+    """The block of those images that have observations, with those control points that have any."""
+    rows = np.flatnonzero(np.isin(views.name, observations.image))
+    images = Images(views.name[rows], views.camera[rows], views.centre[rows], views.R_frame_from_camera[rows])
+    cameras = {name: views.cameras[name] for name in dict.fromkeys(images.camera.tolist())}
+    if ground is not None:
+        seen = ground.name[np.isin(ground.name, observations.point)].tolist()
+        ground = ground.of(seen) if seen else None
+    return Block(views.frame, cameras, images, observations, ground, navigation=_navigation(views).of(rows))
+
+
+def _navigation(views: Views) -> Navigation:
+    """Navigation of the cameras themselves: perspective centres, and rotations about the camera's axes."""
+    count, eye = len(views), np.eye(3)
+    each = np.broadcast_to(eye, (count, 3, 3))
+    position, attitude = (views.own[:, part, part] for part in (np.s_[:3], np.s_[3:]))
+    zero = np.zeros(3)
+    return Navigation(
+        position=views.centre,
+        R_frame_from_body=views.R_frame_from_camera,
+        R_frame_from_reference=views.R_frame_from_camera,
+        R_base_from_head=each,
+        information_position=information_of(position, LEAST_POSITION),
+        information_attitude=information_of(attitude, LEAST_ATTITUDE),
+        mount=views.camera,
+        strip=np.full(count, "strip"),
+        time=np.zeros(count),
+        mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
+        common=views.common,
+    )
+
+
+def information_of(covariance: np.ndarray, least: float) -> np.ndarray:
+    """W (n, 3, 3) with W' W the inverse of covariances, which a standard deviation is added to."""
+    return np.linalg.inv(np.linalg.cholesky(covariance + least**2 * np.eye(3)))

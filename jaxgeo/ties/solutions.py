@@ -1,0 +1,172 @@
+"""Robust and least-squares solutions of a block with the navigation as prior, without measurements that do not fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.adjust import Adjustment, Block, Blunder, HeightObservations, LeastSquares, Unknowns
+from jaxgeo.adjust.bundle import adjusted
+from jaxgeo.adjust.equations import known_points
+from jaxgeo.adjust.kept import Kept, block_of, control_of, masked, set_aside
+from jaxgeo.adjust.measurements import image_residuals, in_view
+from jaxgeo.adjust.problem import Prepared, prepared
+from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
+from jaxgeo.adjust.solve import solve
+from jaxgeo.adjust.values import Values
+from jaxgeo.ties.control_tests import failing, fitting, named_blunders
+from jaxgeo.ties.excess import by_median, excess_of, of_few
+from jaxgeo.ties.robust import WIDEST, WIDTH, ScaledCauchy
+
+OUTLIER = 4.0  # standard deviations: larger residuals are left out
+# px: added to the standard deviations of image points in the first robust solution, which starts from the navigation,
+# several px off; with less, right measurements are left out there for wrong ones.
+FIRST_EXCESS = 1.0
+ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
+ROUNDS = 10
+
+
+class Excess(NamedTuple):
+    """Standard deviations in px that are added in quadrature to those of tie points, and of pixels of control."""
+
+    ties: float
+    control: float
+
+    def less_sure(self, block: Block) -> Block:
+        """The block with these added."""
+        observed = block.observations
+        added = np.where(_of_control(block), self.control, self.ties)
+        return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, added[:, None])))
+
+
+def _of_control(block: Block) -> np.ndarray:
+    """Flags (k,) of the pixels of control points."""
+    return np.isin(block.observations.point, control_of(block).name)
+
+
+def robust_solution(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None
+) -> tuple[Kept, Values, Excess]:
+    """(the measurements that fit, the robust solution, the standard deviations in px to add to theirs)."""
+    first = kept = screened_of(block, unknowns, SIGMAS).kept
+    values, excess, is_mark = None, Excess(FIRST_EXCESS, FIRST_EXCESS), _of_control(block)
+    for _ in range(ROUNDS):
+        less_sure = excess.less_sure(block)
+        full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
+        solution = solve(masked(less_sure, full, kept).problem, ScaledCauchy(jnp.asarray(WIDTH)), start=values)
+        values = solution.values
+        residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
+        largest, sigma = _largest(residuals, block.observations.sigma)
+        last, ties, marks = excess, kept.rows & ~is_mark, kept.rows & is_mark
+        of_ties = by_median(largest[ties], sigma[ties]) if np.any(ties) else 0.0
+        excess = Excess(of_ties, max(of_ties, of_few(largest[marks], sigma[marks])))
+        fits = largest <= OUTLIER * np.hypot(sigma, np.where(is_mark, excess.control, excess.ties))
+        before, fits = kept, fits & _in_view(full, values)
+        known = before.control & _control_fits(block, full, values, fits)
+        kept = Kept(fits, known).whole(block)
+        is_settled = (
+            np.array_equal(before.rows, kept.rows)
+            and np.array_equal(before.control, kept.control)
+            and all(abs(x - y) <= ENOUGH * max(y, ENOUGH) for x, y in zip(excess, last, strict=True))
+        )
+        if is_settled or not kept.leaves_every_image(block):
+            break
+    assert values is not None
+    return kept, values, excess
+
+
+def _control_fits(block: Block, full: Prepared, values: Values, fits: np.ndarray) -> np.ndarray:
+    """Flags of the control points whose coordinates are within the limit of outliers, and all of whose pixels fit."""
+    row_of = dict(zip(full.names.point.tolist(), full.order.row_of_point.tolist(), strict=True))
+    rows = [row_of[name] for name in control_of(block).name.tolist()]
+    off = np.max(np.abs(np.asarray(known_points(full.problem, values))[rows]), axis=1, initial=0.0)
+    return (off <= OUTLIER) & ~np.isin(control_of(block).name, block.observations.point[~fits])
+
+
+def _largest(residuals: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The larger of the two residuals of each measurement, in standard deviations, and its standard deviation, px."""
+    axis = np.argmax(np.abs(residuals / sigma), axis=1)
+    rows = np.arange(len(axis))
+    return np.abs(residuals)[rows, axis], sigma[rows, axis]
+
+
+def _in_view(full: Prepared, values: Values) -> np.ndarray:
+    return np.asarray(in_view(full.problem, values))[full.order.place]
+
+
+class Final(NamedTuple):
+    """Least-squares adjustment of the kept measurements of a block, the standard deviations in px added to theirs, and
+    the arrays of the whole block."""
+
+    found: Adjustment
+    excess: Excess
+    kept: Kept
+    full: Prepared
+
+
+def least_squares(
+    block: Block,
+    unknowns: Unknowns,
+    terrain: HeightObservations | None,
+    kept: Kept,
+    values: Values,
+    excess: Excess,
+) -> Final:
+    """Least squares of what is kept, with `excess` by its residuals. Raises as `jaxgeo.adjust.adjust`."""
+    is_mark, given = _of_control(block)[kept.rows], block.observations.sigma[kept.rows]
+    for last in (False, False, True):
+        less_sure = excess.less_sure(block)
+        full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, kept))
+        ready = masked(less_sure, full, kept)
+        solution = solve(ready.problem, ScaledCauchy(jnp.asarray(WIDEST)), start=values)
+        values = solution.values
+        if not last:
+            off = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
+            excess = _excess_of(block, kept, off * less_sure.observations.sigma[kept.rows], given, is_mark)
+    screen = Screen(kept)
+    found = adjusted(block_of(less_sure, kept), unknowns, ready, solution, LeastSquares(), None, screen)
+    return Final(found, excess, kept, full)
+
+
+def _excess_of(block: Block, kept: Kept, off: np.ndarray, sigma: np.ndarray, is_mark: np.ndarray) -> Excess:
+    """That by residuals `off` (k, 2) in px of what is kept, with their stated standard deviations."""
+    ties = 0.0
+    if not np.all(is_mark):
+        points = len(np.unique(block.observations.point[kept.rows][~is_mark]))
+        freedom = max(2 * int(np.count_nonzero(~is_mark)) - 6 * len(block.images) - 3 * points, 1)
+        ties = excess_of(off[~is_mark], sigma[~is_mark], freedom)
+    return Excess(ties, max(ties, of_few(*_largest(off[is_mark], sigma[is_mark]))))
+
+
+def without_wrong_control(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, final: Final
+) -> tuple[Final, list[Blunder]]:
+    """(the adjustment without control that fails its test, with what passes it; what is left out, the worst first).
+
+    Raises `ValueError` if more than half of the control points do not fit.
+    """
+    tried: list[Kept] = []
+    for _ in range(3 * len(control_of(block))):
+        given = final.found, final.excess.less_sure(block), final.full, final.kept
+        kept = failing(*given)
+        if _same(kept, final.kept):
+            kept = fitting(*given)
+        if any(_same(kept, one) for one in (final.kept, *tried)):
+            break
+        tried.append(final.kept)
+        final = least_squares(block, unknowns, terrain, kept, final.found.solution.values, final.excess)
+    blunders = named_blunders(final.found, final.excess.less_sure(block), final.full, final.kept)
+    total, left = len(final.kept.control), int(np.sum(final.kept.control))
+    if total > 1 and left < 0.5 * total:
+        raise ValueError(
+            f"{total - left} of {total} control points do not fit the images and their navigation: {blunders[0]}. Are "
+            f"their coordinate system and vertical datum those of the images, and the stated errors right?"
+        )
+    return final, blunders
+
+
+def _same(one: Kept, other: Kept) -> bool:
+    return np.array_equal(one.rows, other.rows) and np.array_equal(one.control, other.control)
