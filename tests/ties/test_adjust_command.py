@@ -196,6 +196,7 @@ def test_control_that_does_not_belong_to_the_images_is_refused(tmp_path, here, c
     assert not (tmp_path / "out" / "matches").exists()
 
 
+@pytest.mark.slow
 def test_a_mosaic_shows_what_the_images_show(tmp_path, here, done) -> None:
     """Grey values of its cells against the image rectified with its true pose: the adjusted images lie where they
     should, to a fraction of the texture's width."""

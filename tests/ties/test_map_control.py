@@ -242,6 +242,7 @@ def test_derivatives_by_the_lens_are_those_of_another_camera() -> None:
     assert np.allclose(change, expected, atol=0.03 * np.max(np.abs(expected)))
 
 
+@pytest.mark.slow
 def test_self_calibration_takes_the_map_in() -> None:
     """A focal length that is off by 1 px: without a map it is the height of all images; with one it is found."""
     of = drawn(0, COUNT)

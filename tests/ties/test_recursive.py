@@ -77,6 +77,7 @@ def test_one_after_another_is_all_at_once(rows: tuple[int, ...]) -> None:
         assert np.allclose((value, left), batch.adjustment.common[name], atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [LONGEST, 3])
 def test_errors_are_as_predicted(window: int) -> None:
     """Squared errors by their covariance are chi-square, with tracks that the window holds and with longer ones: of all
