@@ -20,19 +20,8 @@ from jaxgeo.ties.control_choice import CONTRADICTS, IMPROBABLE, UNCLEAR, chance
 from jaxgeo.ties.drift import Drifting, drifting
 from jaxgeo.ties.map_control import Measured, measured_by
 from jaxgeo.ties.views import are_equal, check_errors, checked_frame, pose_errors
-from jaxgeo.ties.window import (
-    POSE,
-    Frame,
-    Solved,
-    Window,
-    empty,
-    largest_correction,
-    map_rows,
-    solved,
-    with_frame,
-    with_names,
-    without_oldest,
-)
+from jaxgeo.ties.window import POSE, Frame, Window, empty, with_frame, with_names
+from jaxgeo.ties.window_solution import Solved, largest_correction, map_rows, solved, without_oldest
 
 LEAST_SHARE = 1e-5  # of the navigation's standard deviation: lower bound of that of an image alone, against rounding
 JOINED = 3  # points that an image must share with others to be connected

@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.drone_strip import CAMERA, GROUND, SENSOR
+from support.drone_strip import ABOVE, CAMERA, GROUND, SENSOR
 from support.registered_strip import (
     ERRORS,
+    HEIGHT,
     OFFSET,
     POSITION,
     TERRAIN,
     TIE_ERRORS,
+    WIDTH,
     Drawn,
     drawn,
     errors_of,
@@ -27,10 +29,10 @@ from support.registered_strip import (
 )
 
 from jaxgeo import Atmosphere, Exposure, Pose, Shot, locate
-from jaxgeo.adjust import LeastSquares, Prior, Unknowns
+from jaxgeo.adjust import ImagePoints, LeastSquares, Prior, Unknowns
 from jaxgeo.io import example_dem
 from jaxgeo.register import Outcome, Registration, TieErrors, TiePoints, update_orientation
-from jaxgeo.ties import Correction, MapControl, Views, correct
+from jaxgeo.ties import Control, Correction, MapControl, Views, correct
 from jaxgeo.ties.map_control import measured_by
 from jaxgeo.ties.views import oriented
 from jaxgeo.uncertainty import ErrorModel, sources
@@ -191,6 +193,52 @@ def test_wrong_registrations_are_left_out() -> None:
     # One alone is held against the navigation of all images.
     far = registered(of, ROW, blunder=(40.0, 0.0))
     assert list(correct(of.given, of.seen, map_control=control_of(of, {ROW: far})).refused) == ["image 02"]
+
+
+def surveyed(of: Drawn) -> Control:
+    """Three control points (5 cm, marks of 0.4 px) under images of the strip, with drawn errors."""
+    places, rows = [], []
+    for number, row in enumerate((1, 4, 7)):
+        place = of.true.centre[row] + np.array([(-1.0) ** number * 25.0, 8.0, -ABOVE])
+        for k in range(len(of.true)):
+            (uv,) = pixels(of.true.centre[k], of.true.R_frame_from_camera[k], place[None])
+            if np.all((uv > 0.0) & (uv < [WIDTH - 1, HEIGHT - 1])):
+                rows.append((str(of.true.name[k]), f"G{number}", uv + 0.4 * of.rng.normal(size=2)))
+        places.append(place + 0.05 * of.rng.normal(size=3))
+    image, point, uv = zip(*rows, strict=True)
+    position = of.true.frame.to_geodetic(np.array(places))
+    return Control(["G0", "G1", "G2"], position, 0.05, ImagePoints(list(image), list(point), np.array(uv), 0.4))
+
+
+def test_control_points_and_a_map_together() -> None:
+    """Squared errors by their covariance are chi-square; control points show the map's shift, and which registration is
+    wrong; the mean position is known better than by either alone."""
+    squares, shifts = 0.0, 0.0
+    for seed in range(4):
+        of = drawn(seed, COUNT)
+        points = surveyed(of)
+        on_map = control_of(of, {ROW: registered(of, ROW), 6: registered(of, 6)})
+        found = correct(of.given, of.seen, control=points, map_control=on_map)
+        assert not found.refused
+        assert not found.blunders
+        adjusted = found.adjustment
+        errors = errors_of(of, found.names, adjusted.images.centre, adjusted.images.R_frame_from_camera)
+        squares += errors.ravel() @ np.linalg.solve(adjusted.covariance[: 6 * COUNT, : 6 * COUNT], errors.ravel())
+        for axis, true in zip(("east", "north"), of.shift, strict=True):
+            value, left = adjusted.common[f"map: shift {axis}"]
+            assert left < 0.5
+            shifts += ((value - true / float(TIE_ERRORS.shift)) / left) ** 2
+    for found, freedom in ((squares, 4 * 6 * COUNT), (shifts, 4 * 2)):
+        assert abs(found - freedom) < 3.0 * np.sqrt(2.0 * freedom)
+    both = correct(of.given, of.seen, control=points, map_control=on_map)
+    alone = [correct(of.given, of.seen, **how) for how in ({"control": points}, {"map_control": on_map})]
+    assert all(np.all(both.sigma_of_mean <= one.sigma_of_mean) for one in alone)
+    assert "by control and map" in both.words()
+    wrong = control_of(of, {ROW: registered(of, ROW, blunder=(6.0, -6.0))})
+    refused = correct(of.given, of.seen, control=points, map_control=wrong)
+    assert list(refused.refused) == ["image 02"]
+    assert refused.map_control is None
+    np.testing.assert_allclose(refused.adjustment.images.centre, alone[0].adjustment.images.centre, atol=1e-9)
 
 
 def test_images_without_ties_do_not_carry_the_map() -> None:
