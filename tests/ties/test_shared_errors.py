@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.drone_strip import ABOVE, GROUND, SENSOR
+from support.drone_strip import ABOVE, SENSOR
+from support.surveyed_strip import COUNT, shots
 
 from jaxgeo import Exposure, Pose, Shot
 from jaxgeo.adjust import ImagePoints
@@ -15,7 +16,7 @@ from jaxgeo.studies.gu2017.scene import moved
 from jaxgeo.ties import Correction, Views, correct
 from jaxgeo.uncertainty import PerFlight, TimeCorrelated, sources
 
-COUNT, APART, DURATION = 5, 40.0, 20.0  # images, m and s between them / correlation time of the attitude
+DURATION = 20.0  # s: correlation time of the attitude
 PIXEL = 0.2  # px
 POSITION, OFFSET, ATTITUDE, BORESIGHT = 0.3, 2.0, np.deg2rad(0.2), np.deg2rad(0.5)
 FADING = TimeCorrelated(DURATION, strength=0.9)
@@ -25,15 +26,6 @@ ERRORS = (
     sources.Attitude(np.full(3, ATTITUDE), sharing=FADING),
     sources.Boresight(np.full(3, BORESIGHT)),
 )
-
-
-def shots() -> list[Shot]:
-    found = []
-    for k in range(COUNT):
-        lat = 47.0 + np.rad2deg(APART * k / 6.367e6)
-        pose = Pose.from_degrees(lat=lat, lon=11.0, height=GROUND + ABOVE, heading=50.0 * k, pitch=4.0, roll=-3.0)
-        found.append(Shot(pose, np.zeros(0), 2.0 * k))
-    return found
 
 
 def views_of(given: list[Shot], flight: object = None) -> Views:
