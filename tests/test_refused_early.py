@@ -63,6 +63,8 @@ COMMANDS = (
     (f"{SHOTS} shots.csv -o shots.csv", "this is an input, and would be overwritten"),
     (f"without pyarrow: {LOCATE} -o a.parquet", "pip install 'jaxgeo[gis]'"),
     (f"without mgrs: {LOCATE} -o a.csv --mgrs", "pip install 'jaxgeo[gis]'"),
+    (f"without pyogrio: {LOCATE} -o a.gpkg", "pip install 'jaxgeo[gis]'"),
+    (f"without pyogrio: {FOOTPRINT} -o a.gpkg", "pip install 'jaxgeo[gis]'"),
     ("jaxgeo locate DJI_0042.JPG --dem dem.tif", "--camera-datum"),
     ("jaxgeo locate DJI_0042.JPG --dem dem.tif --camera-datum ellipsoid --exposure a", "no exposure has this name"),
     ("jaxgeo locate DJI_0042.JPG --dem dem.tif --camera-datum ellipsoid --stream 1", "takes no --stream"),

@@ -30,13 +30,12 @@ PACKAGES = (
     "scipy",
     "rasterio",
     "pyproj",
-    "pyogrio",
     "shapely",
 )
 EXTRAS = ("plot", "report", "gis", "video", "logs", "orthority", "cluster", "stac", "xarray")
 DRIVERS = {"GTiff": "elevation models, orthoimages", "COG": "--cog", "VRT": "mosaics of tiles", "PNG": "images",
            "JPEG": "images", "JP2OpenJPEG": "JPEG 2000 images"}  # fmt: skip
-VECTORS = {"GeoJSON": "-o x.geojson", "GPKG": "-o x.gpkg"}
+VECTORS = {"GPKG": "-o x.gpkg"}
 GEOIDS = {"EPSG:5773": "EGM96", "EPSG:3855": "EGM2008"}
 CLOSE = 1e-3  # m: by how far a fix may miss
 
@@ -147,14 +146,16 @@ def _geoids() -> Iterator[Finding]:
 def _drivers() -> Iterator[Finding]:
     from jaxgeo.io.gdal_and_proj import drivers
 
-    for known, wanted in zip(drivers(), (DRIVERS, VECTORS), strict=True):
-        yield from (_driver(name, use, name in known) for name, use in wanted.items())
+    rasters, vectors = drivers()
+    for name, use in DRIVERS.items():
+        yield _driver(name, use, name in rasters, "use the wheel of rasterio from PyPI")
+    for name, use in VECTORS.items():
+        yield _driver(name, use, name in vectors, "pip install 'jaxgeo[gis]'")
 
 
-def _driver(name: str, use: str, is_known: bool) -> Finding:
-    if is_known:
-        return Finding(f"GDAL {name}", State.ok, use)
-    return Finding(f"GDAL {name}", State.absent, f"missing: {use}", "use the wheels of rasterio and pyogrio from PyPI")
+def _driver(name: str, use: str, is_known: bool, remedy: str) -> Finding:
+    what = f"GDAL {name}"
+    return Finding(what, State.ok, use) if is_known else Finding(what, State.absent, f"missing: {use}", remedy)
 
 
 def _extras() -> Iterator[Finding]:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
-import pathlib
 import re
-import tempfile
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -18,20 +15,19 @@ from shapely.geometry.base import BaseGeometry
 
 from jaxgeo._destination import UNWRITABLE
 from jaxgeo.io._cells import Rows, safe_cell
-from jaxgeo.io._features import DECIMALS, Feature
+from jaxgeo.io._features import Feature, feature_collection, named_crs
 from jaxgeo.io._fix_columns import FIX_DECIMALS
+from jaxgeo.io._geopackage import Layer, geopackage
 from jaxgeo.io._geoparquet import GeometryColumn, geoparquet
 from jaxgeo.io._gpx import TrackPoint, as_bytes, gpx
 from jaxgeo.io._kml import Placemark, kml, kmz
-from jaxgeo.io._layers import Layer, geopackage
-from jaxgeo.io._map_crs import MapCRS, code_of
+from jaxgeo.io._map_crs import MapCRS
 from jaxgeo.status import Status
 
 PLACE = ("map_x", "map_y", "map_z")  # of a table
 # Attributes of a fix that its outline does not repeat.
 POINT_ONLY = ("fix_", "slant_", "incidence_", "slope_", "cov_", "bias_", "mgrs", "vertical_datum", "status_text")
 ISO = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9})?Z")
-WGS84 = ("EPSG:4979", "EPSG:4326", "OGC:CRS84", "OGC:CRS84h")
 
 
 class FixTable(NamedTuple):
@@ -93,50 +89,15 @@ def _text(value: Any, decimals: int | None) -> Any:
 
 def _geojson(table: FixTable) -> bytes:
     """Points, then outlines, in one collection, distinguished by `kind`; a member "jaxgeo" has common metadata."""
-    decimals = int(DECIMALS[table.chart.flat.is_geographic])
-    features = []
-    for row, place in zip(table.rows, table.places, strict=True):
-        known = np.isfinite(place).all()
-        at = [round(x, n) for x, n in zip(place.tolist(), (decimals, decimals, 4), strict=True)] if known else None
-        geometry = {"type": "Point", "coordinates": at} if known else None
-        own = {"index": row["index"], "kind": "fix"} | row
-        features.append({"type": "Feature", "geometry": geometry, "properties": own})
-    for i, outline in enumerate(table.outlines):
-        if outline is not None:
-            mapped = shapely.geometry.mapping(shapely.transform(outline, lambda ring: np.round(ring, decimals)))
-            features.append({"type": "Feature", "geometry": mapped, "properties": _outline_row(table, i)})
-    for i, outline in enumerate(table.detected):
-        if outline is not None:
-            mapped = shapely.geometry.mapping(shapely.transform(outline, lambda ring: np.round(ring, decimals)))
-            features.append({"type": "Feature", "geometry": mapped, "properties": _detected_row(table, i)})
-    head: dict[str, Any] = {"type": "FeatureCollection"} | _named_crs(table) | {"jaxgeo": table.metadata}
-    for feature in features:
-        feature["properties"] = {name: _json(value) for name, value in feature["properties"].items()}
-    texts = (json.dumps(feature, allow_nan=False, ensure_ascii=False) for feature in features)
-    text = json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [\n' + ",\n".join(texts) + "\n]}\n"
-    return text.encode("utf-8", UNWRITABLE)
-
-
-def _named_crs(table: FixTable) -> dict[str, Any]:
-    """The pre-RFC 7946 CRS member; none for WGS 84 with ellipsoidal heights, the default."""
-    chart = table.chart
-    if code_of(chart.crs) in WGS84:
-        return {}
-    code = code_of(chart.crs) or code_of(chart.flat)  # no code with ellipsoidal heights: use the horizontal one
-    if code is None:
-        raise ValueError(
-            f"{table.name}: GeoJSON names a crs by its code, and {chart.crs.name!r} has none that PROJ knows; "
-            f"write a .gpkg or a .parquet."
-        )
-    authority, numbers = code.split(":")
-    parts = [f"{authority}::{number}" for number in numbers.split("+")]
-    urn = f"urn:ogc:def:crs:{parts[0]}" if len(parts) == 1 else f"urn:ogc:def:crs,{','.join(f'crs:{p}' for p in parts)}"
-    return {"crs": {"type": "name", "properties": {"name": urn}}}
-
-
-def _json(value: Any) -> Any:
-    """A value for JSON, which has no NaN or infinities: they are null."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    features = [
+        Feature(point, {"index": row["index"], "kind": "fix"} | row)
+        for point, row in zip(table.points, table.rows, strict=True)
+    ]
+    features += [Feature(one, _outline_row(table, i)) for i, one in enumerate(table.outlines) if one is not None]
+    features += [Feature(one, _detected_row(table, i)) for i, one in enumerate(table.detected) if one is not None]
+    chart = table.chart  # with ellipsoidal heights it may have no code: its horizontal part has
+    head = named_crs(table.name, chart.crs, chart.flat) | {"jaxgeo": table.metadata}
+    return feature_collection(features, chart.flat, head)
 
 
 def _geopackage(table: FixTable) -> bytes:
@@ -149,8 +110,7 @@ def _geopackage(table: FixTable) -> bytes:
     seen = [Feature(one, _detected_row(table, i)) for i, one in enumerate(table.detected) if one is not None]
     if seen:
         layers["detections"] = Layer(seen, table.chart.flat, "Unknown")
-    with tempfile.TemporaryDirectory() as folder:
-        return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata, style=table.style)
+    return geopackage(table.name, layers, table.metadata, style=table.style)
 
 
 def as_parquet(table: FixTable, types: Mapping[str, str] | None = None) -> bytes:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import pathlib
 import sqlite3
-import tempfile
 from collections.abc import Iterable
 from xml.etree import ElementTree as ET
 
@@ -47,16 +44,6 @@ def qml() -> str:
             ET.SubElement(drawn, "prop", k=key, v=value)
     ET.indent(root, " ")
     return DOCTYPE + ET.tostring(root, encoding="unicode") + "\n"
-
-
-def styled(content: bytes, layers: Iterable[str]) -> bytes:
-    """A GeoPackage with the style as the default of its layers."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = pathlib.Path(folder) / "styled.gpkg"
-        path.write_bytes(content)
-        with contextlib.closing(sqlite3.connect(path)) as base:
-            add_layer_styles(base, layers)
-        return path.read_bytes()
 
 
 def add_layer_styles(base: sqlite3.Connection, layers: Iterable[str]) -> None:

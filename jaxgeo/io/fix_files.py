@@ -17,8 +17,9 @@ from jaxgeo._destination import destination
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._ellipses import ellipse_polygons
+from jaxgeo.io._features import WGS84
 from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_figures, rows_of
-from jaxgeo.io._fix_formats import FIXED_CRS, PLACE, STYLED, WGS84, WRITERS, FixTable
+from jaxgeo.io._fix_formats import FIXED_CRS, PLACE, STYLED, WRITERS, FixTable
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.io._outlines import outline
@@ -69,7 +70,7 @@ def write_fixes(
     - `ellipses`: also the outline on the ground that contains the true point with the probability, of kind "ellipse",
       or "circle" if only a radius is known; none if it has no area. Outlines are in the horizontal CRS, in a layer
       `ellipses` (.gpkg), a second geometry column (.parquet), or features or placemarks of their own.
-    - `mgrs`: also the MGRS reference to 1 m (needs the extra `gis`, as .parquet does).
+    - `mgrs`: also the MGRS reference to 1 m (needs the extra `gis`, as .gpkg and .parquet do).
     - `reasons`: for each fix None, or a text for the column `status_text` instead of that of its status, for example
       that its file could not be read.
     - `rings`: for each fix None, or the outline (m, 3) of what was detected there: longitudes and latitudes in deg,

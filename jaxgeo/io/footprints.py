@@ -17,10 +17,11 @@ from pyproj.transformer import Transformer
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo.coverage._footprint import Footprint
-from jaxgeo.io._features import Feature, encoded, has_heights
+from jaxgeo.io._features import Feature, has_heights
+from jaxgeo.io._geopackage import check_vector_driver, one_layer
 from jaxgeo.io._outlines import line, outline, runs
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
-from jaxgeo.io._qgis import qml, styled
+from jaxgeo.io._qgis import qml
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.status import Status
 
@@ -81,7 +82,7 @@ def write_footprints(
 
     The file appears only when complete. Raises `ValueError` for a path that cannot be written to, for no footprints,
     for a CRS that is unknown, unsuitable or does not cover the footprints, and for attributes that do not match;
-    `OSError` where writing fails.
+    `ImportError` for a .gpkg without the extra `gis`; `OSError` where writing fails.
     """
     target = pathlib.Path(path)
     driver = _driver(target)
@@ -101,8 +102,7 @@ def write_footprints(
             if edges:
                 features += _edges(index, one, places, chart, extra[index])
         names = [name for name in OWN if edges or name != "kind_of_edge"] + list(extra[0])
-        content = encoded(f"{target}", driver, LAYER, features, names, chart.crs)
-        stream.write(styled(content, (LAYER,)) if style and driver == "GPKG" else content)
+        stream.write(one_layer(f"{target}", driver, LAYER, features, names, chart.crs, style=style))
     if style and driver != "GPKG":
         with destination("style", target.with_suffix(".qml")) as stream:
             stream.write(qml())
@@ -137,9 +137,11 @@ def _seen(footprint: Footprint) -> _Seen:
 
 def _driver(target: pathlib.Path) -> str:
     try:
-        return DRIVERS[target.suffix.lower()]
+        driver = DRIVERS[target.suffix.lower()]
     except KeyError:
         raise ValueError(f"{target}: footprints are written to files that end in {', '.join(DRIVERS)}.") from None
+    check_vector_driver(driver)
+    return driver
 
 
 def _checked_attributes(target: pathlib.Path, attributes: Any, count: int) -> list[dict[str, Any]]:

@@ -17,7 +17,8 @@ from scipy import ndimage
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
-from jaxgeo.io._features import Feature, encoded
+from jaxgeo.io._features import Feature
+from jaxgeo.io._geopackage import check_vector_driver, one_layer
 from jaxgeo.io._kml import Placemark, kml, kmz
 from jaxgeo.io._outlines import within_a_turn
 from jaxgeo.io.footprints import checked_map
@@ -65,12 +66,13 @@ def write_region(
 
     The file appears only when complete. Raises `TypeError` for other objects than regions, `ValueError` for a path that
     cannot be written to, no regions, a CRS that is unknown, unsuitable or does not cover them and attributes that do
-    not match; `OSError` where writing fails.
+    not match; `ImportError` for a .gpkg without the extra `gis`; `OSError` where writing fails.
     """
     target = pathlib.Path(path)
     if target.suffix.lower() not in DRIVERS:
         raise ValueError(f"{target}: regions are written to files that end in {', '.join(DRIVERS)}.")
     driver = DRIVERS[target.suffix.lower()]
+    check_vector_driver(driver)
     several = [regions] if isinstance(regions, Region) else list(regions)
     if not several:
         raise ValueError(f"{target}: regions must be one or more; got none.")
@@ -94,7 +96,7 @@ def write_region(
             document = _kml(features)
             stream.write(document if driver == "KML" else kmz(document))
         else:
-            stream.write(encoded(f"{target}", driver, "regions", features, list(features[0].attributes), chart.crs))
+            stream.write(one_layer(f"{target}", driver, "regions", features, list(features[0].attributes), chart.crs))
 
 
 def _row(index: int, region: Region, mode: Mode | None) -> dict[str, Any]:

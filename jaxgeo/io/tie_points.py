@@ -14,7 +14,8 @@ import shapely
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
-from jaxgeo.io._features import Feature, encoded
+from jaxgeo.io._features import Feature
+from jaxgeo.io._geopackage import one_layer
 
 PLACE = ("lat_deg", "lon_deg", "height_m")
 
@@ -64,7 +65,7 @@ def write_tie_points(path: str | os.PathLike[str], rows: Sequence[TieRow]) -> No
     crs = pyproj.CRS.from_epsg(4979 if with_height else 4326)
     features = [_feature(one, with_height) for one in rows]
     with destination("tie points", target, binary=True) as stream:
-        stream.write(encoded(f"{target}", "GeoJSON", "tie points", features, NAMES, crs))
+        stream.write(one_layer(f"{target}", "GeoJSON", "tie points", features, NAMES, crs))
 
 
 def _check(where: str, one: TieRow) -> None:

@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import write_fixes
-from jaxgeo.io._features import Feature, encoded
-from jaxgeo.io._qgis import styled
+from jaxgeo.io._features import Feature
+from jaxgeo.io._geopackage import one_layer
 from tests.support.made_fixes import LEVEL, made
 
 COLUMNS = ["id", "f_table_catalog", "f_table_schema", "f_table_name", "f_geometry_column", "styleName", "styleQML",
@@ -67,12 +67,12 @@ def test_a_geopackage_has_the_style_of_each_layer(tmp_path: pathlib.Path) -> Non
     assert "layer_styles" not in pyogrio.list_layers(plain)[:, 0]
 
 
-def test_a_geopackage_in_memory_is_styled_too(tmp_path: pathlib.Path) -> None:
+def test_a_geopackage_of_one_layer_is_styled_too(tmp_path: pathlib.Path) -> None:
     """As that of footprints."""
     feature = Feature(shapely.box(8.0, 47.0, 8.1, 47.1), {"status": "hit"})
-    content = encoded("a.gpkg", "GPKG", "footprints", [feature], ["status"], pyproj.CRS(4326))
+    content = one_layer("a.gpkg", "GPKG", "footprints", [feature], ["status"], pyproj.CRS(4326), style=True)
     path = tmp_path / "a.gpkg"
-    path.write_bytes(styled(content, ["footprints"]))
+    path.write_bytes(content)
     with contextlib.closing(sqlite3.connect(path)) as base:
         assert base.execute("SELECT f_table_name FROM layer_styles").fetchall() == [("footprints",)]
     assert pyogrio.read_info(path, layer="footprints")["features"] == 1

@@ -59,6 +59,12 @@ def parquet(folder: pathlib.Path) -> None:
     assert (folder / "fixes.parquet").read_bytes().startswith(b"PAR1")
 
 
+def geopackage(folder: pathlib.Path) -> None:
+    """Fixes as a GeoPackage."""
+    jaxgeo.io.write_fixes(folder / "fixes.gpkg", a_fix())
+    assert (folder / "fixes.gpkg").read_bytes().startswith(b"SQLite format 3")
+
+
 def squares(folder: pathlib.Path) -> None:
     """The squares that fixes lie in."""
     jaxgeo.io.write_fixes(folder / "fixes.csv", a_fix(), mgrs=True)
@@ -163,11 +169,12 @@ def px4_log(folder: pathlib.Path) -> None:
 
 EXTRAS = {
     "cluster": Extra(
-        ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pystac", "yaml"), (scheduler, catalogue)
+        ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pyogrio", "pystac", "yaml"),
+        (scheduler, catalogue),
     ),
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
-    "gis": Extra(("mgrs", "pyarrow"), (parquet, squares)),
+    "gis": Extra(("mgrs", "pyarrow", "pyogrio"), (geopackage, parquet, squares)),
     "logs": Extra(("pymavlink", "pyulog"), (dataflash_log, px4_log)),
     "orthority": Extra(("yaml",), (interior_parameters,)),
     "stac": Extra(("pystac", "pystac_client", "requests"), (search,)),

@@ -1,4 +1,4 @@
-"""GeoPackage writer for several layers, with common metadata."""
+"""GeoPackages of several layers, and files of one layer, GeoJSON or GeoPackage."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import json
 import pathlib
 import sqlite3
+import tempfile
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 import pyproj
 import shapely
 
-from jaxgeo.io._features import Feature, column_of
+from jaxgeo.io._features import Feature, column_of, feature_collection, has_heights, named_crs
 from jaxgeo.io._map_crs import code_of
 from jaxgeo.io._qgis import add_layer_styles
 
@@ -26,24 +27,64 @@ class Layer(NamedTuple):
     geometry_type: str
 
 
-def geopackage(
-    name: str, path: pathlib.Path, layers: Mapping[str, Layer], metadata: Mapping[str, Any], *, style: bool = False
+def check_vector_driver(driver: str) -> None:
+    """Raises `ImportError` if the driver needs a library that is not installed."""
+    if driver != "GPKG":
+        return
+    try:
+        import pyogrio  # noqa: F401
+    except ImportError as error:
+        raise ImportError("a GeoPackage needs the library pyogrio: pip install 'jaxgeo[gis]'.") from error
+
+
+def one_layer(
+    name: str,
+    driver: str,
+    layer: str,
+    features: Sequence[Feature],
+    attributes: Sequence[str],
+    crs: pyproj.CRS,
+    *,
+    style: bool = False,
 ) -> bytes:
-    """The bytes of a GeoPackage created at `path`; `name` is the file's, for messages.
+    """Encode a file of one layer; `attributes` are its column names, None where a feature lacks one.
+
+    `driver` is "GeoJSON" or "GPKG"; `name` is the file's, for messages; `style` as in `geopackage`. Raises `ValueError`
+    for a column of mixed types, and what `geopackage` raises.
+    """
+    features = [Feature(shape, {key: row.get(key) for key in attributes}) for shape, row in features]
+    if driver == "GPKG":
+        kinds = {one.geometry.geom_type for one in features if one.geometry is not None}
+        kind = "Unknown" if len(kinds) != 1 else kinds.pop() + " Z" * has_heights(crs)
+        return geopackage(name, {layer: Layer(features, crs, kind)}, {}, style=style)
+    for key in attributes:
+        column_of(name, key, [one.attributes[key] for one in features])
+    return feature_collection(features, crs, {"name": layer} | named_crs(name, crs))
+
+
+def geopackage(name: str, layers: Mapping[str, Layer], metadata: Mapping[str, Any], *, style: bool = False) -> bytes:
+    """The bytes of a GeoPackage; `name` is the file's, for messages.
 
     Features of a layer have the same attributes, numbers, texts or bools, None if unknown. `metadata` is stored with
-    each layer, values other than texts as JSON; with `style`, QGIS's default style of each. Raises `OSError` if GDAL
-    fails.
+    each layer, values other than texts as JSON; with `style`, QGIS's default style of each. Raises `ImportError`
+    without pyogrio, `ValueError` for a column of mixed types, `OSError` if GDAL fails.
     """
+    check_vector_driver("GPKG")
+    with tempfile.TemporaryDirectory() as folder:
+        return _written(name, pathlib.Path(folder) / "layers.gpkg", layers, metadata, style)
+
+
+def _written(
+    name: str, path: pathlib.Path, layers: Mapping[str, Layer], metadata: Mapping[str, Any], style: bool
+) -> bytes:
     from pyogrio import raw  # imports pandas if installed: a quarter of a second
     from pyogrio.errors import DataLayerError, DataSourceError
 
     texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
     try:
         for layer, (features, crs, geometry_type) in layers.items():
-            columns = {
-                key: column_of(name, key, [one.attributes[key] for one in features]) for key in features[0].attributes
-            }
+            keys = features[0].attributes
+            columns = {key: column_of(name, key, [one.attributes[key] for one in features]) for key in keys}
             authority = crs.to_authority()
             raw.write(
                 path,
@@ -55,7 +96,7 @@ def geopackage(
                 driver="GPKG",
                 geometry_type=geometry_type,
                 crs=crs.to_wkt() if authority is None else code_of(crs),
-                layer_metadata=texts,  # on the data set, it would make readers write an .aux.xml beside it
+                layer_metadata=texts or None,  # on the data set, it would make readers write an .aux.xml beside it
                 nan_as_null=False,
             )
         if style:
