@@ -23,7 +23,14 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
 from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, method_of, over_profile, profile_factors
+from jaxgeo.uncertainty.linear_accuracy import (
+    assess_fix,
+    factors_over,
+    linear_radii,
+    method_of,
+    over_profile,
+    radii_about_fix,
+)
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import Request, cells_of_pixels, check_block, check_level
 from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
@@ -140,7 +147,8 @@ def accuracy_about(
         cov, bias, failed = np.full((3, 3), np.nan), np.full(3, np.nan), sampled.failed
     else:
         errors_of = (linear.circular_error, linear.linear_error, linear.spherical_error)
-        radii = _scaled(tuple(error_of(level) for error_of in errors_of), profile, nominal, cov, level)
+        plane = tuple(error_of(level) for error_of in errors_of)
+        radii = _scaled(plane, profile, nominal.direction_enu, cov, level, radii_about_fix(cov, level))
     circular, vertical, spherical = jax.device_put(radii)
     code, cov, bias, failed = jax.device_put((int(method), cov, bias, failed))
     more = (code, cov, bias, failed, diagnostics, sampling.count)
@@ -148,9 +156,9 @@ def accuracy_about(
 
 
 @quick_filter_jit
-def _scaled(radii: Any, profile: Any, nominal: Any, cov_enu: Any, level: Scalar) -> Any:
+def _scaled(radii: Any, profile: Any, direction_enu: Any, cov_enu: Any, level: Scalar, about_fix: Any) -> Any:
     """Radii of linear propagation as the terrain profile makes them."""
-    return over_profile(radii, jnp.stack(profile_factors(profile, nominal, cov_enu, level)))
+    return over_profile(jnp, radii, jnp.stack(factors_over(profile, direction_enu, cov_enu, level, about_fix)))
 
 
 @quick_filter_jit

@@ -22,19 +22,18 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.accuracy_record import Accuracy, OldNames, batch_of, summary
-from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, on_host, scatter, take
-from jaxgeo.uncertainty.linear_accuracy import linear_radii_of_many
+from jaxgeo.uncertainty.host_arrays import block_size, blocks_of, concatenate, on_host, scatter, take
+from jaxgeo.uncertainty.many_fixes import assess_blocks, size_of_blocks
 from jaxgeo.uncertainty.map_cells import (
     Cell,
     MapContext,
     Request,
-    assess_cells,
-    block_size,
     cell_centres,
     check_block,
     check_level,
     fixes_of_cells,
     locate_cells,
+    perturbed_cells,
     project_cells,
     select,
 )
@@ -193,11 +192,10 @@ def accuracy_of_cells(
     fix = scatter(jax.tree.map(lambda leaf: leaf[own], nominals.fix), index[own], count)
     fix = dataclasses.replace(fix, status=status)
     within, seen = select((some, nominals), has_fix) if index.size else (index, (some, located[0][0]))
-    size = block_size(len(seen[0].uv), request.block)
+    size = size_of_blocks(len(seen[0].uv), request.block)
     blocks = blocks_of(seen, size, "estimating accuracy", progress)
-    assessed = [assess_cells(some, nominals, context, model, request.probability) for some, nominals in blocks]
-    found = concatenate(assessed, within.size)
-    radii = linear_radii_of_many(found, request.probability)
+    perturbed = (perturbed_cells(some, nominals, context, model) for some, nominals in blocks)
+    _, found, radii = assess_blocks(perturbed, within.size, None, request.probability)
 
     def observation_at(number: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
         cell, nominal = take(seen, number)

@@ -9,6 +9,8 @@ import jax
 import jax.core
 import numpy as np
 
+from jaxgeo._accelerator import by_device
+
 T = TypeVar("T")
 
 
@@ -29,6 +31,13 @@ def blocks_of(tree: T, size: int, words: str, progress: bool) -> Iterator[T]:
     starts = range(0, count, size)
     for start in with_bar(starts, len(starts), words, progress):
         yield take(host, np.minimum(np.arange(start, start + size), count - 1))
+
+
+def block_size(count: int, block: int) -> int:
+    """Size of the blocks for a number of items: at most the next power of two, on an accelerator of eight, where a
+    program takes longer to compile and larger blocks hardly take longer to run."""
+    step = by_device(1, 3)
+    return min(block, 1 << step * -(-(count - 1).bit_length() // step))
 
 
 def concatenate(parts: Sequence[T], count: int) -> T:

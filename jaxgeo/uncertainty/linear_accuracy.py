@@ -10,12 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._accelerator import by_device
-from jaxgeo._compile import batch_filter_jit, one_program
+from jaxgeo._compile import one_program
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import Index, IndexField, Indices, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
-from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate
 from jaxgeo.uncertainty.method_selection import (
     AGREEMENT,
     AGREEMENT_UP,
@@ -33,7 +31,6 @@ from jaxgeo.uncertainty.profile import Profile
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
 from jaxgeo.uncertainty.sight_plane import along_of
 
-FEW, MANY, MANY_ACCELERATOR = 16, 128, 1024  # fixes whose radii are computed at a time
 STEPS = 0.002  # of the logarithm: figures over the profile of a plane are off by less, for its steps
 
 
@@ -88,26 +85,17 @@ def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Num
     return _valid_over_profile(one.method, radii, one.factors)
 
 
-_linear_radii = batch_filter_jit(linear_radii)
-
-
-def linear_radii_of_many(many: LinearAccuracy, probability: Scalar) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`linear_radii` of n fixes as NumPy arrays, by a program of one of two sizes: it takes long to compile."""
-    count, given = len(many.method), many._replace(diagnostics=None)
-    if not count:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    size = FEW if count <= FEW else by_device(MANY, MANY_ACCELERATOR)
-    parts = blocks_of(given, size, "computing radii", progress=False)
-    each: Any = [_linear_radii(part, probability) for part in parts]
-    return concatenate(each, count)
-
-
 @one_program
 def _valid_over_profile(
     method: Indices, radii: tuple[Numbers, Numbers, Numbers], factors: Float[Array, "... 2"]
 ) -> tuple[Numbers, Numbers, Numbers]:
+    return valid_over_profile(jnp, method, radii, factors)
+
+
+def valid_over_profile(xp: Any, method: Any, radii: tuple[Any, Any, Any], factors: Any) -> tuple[Any, Any, Any]:
+    """Radii over the terrain profile, NaN where linear propagation is not valid; `xp` is NumPy or jax.numpy."""
     is_linear = (method == Method.facet) | (method == Method.footprint)
-    circular, linear, spherical = (jnp.where(is_linear, one, jnp.nan) for one in over_profile(radii, factors))
+    circular, linear, spherical = (xp.where(is_linear, one, xp.nan) for one in over_profile(xp, radii, factors))
     return circular, linear, spherical
 
 
@@ -119,13 +107,30 @@ def profile_factors(
     Facet and footprint take the ground for a plane; the profile follows it along the line of sight. The figures that
     are divided come from the same lines of sight, so that on a plane the factors are 1. Without derivatives.
     """
-    cov, direction, probability = jax.lax.stop_gradient((cov_enu, nominal.direction_enu, probability))
+    return factors_over(profile, nominal.direction_enu, cov_enu, probability, radii_about_fix(cov_enu, probability))
+
+
+def radii_about_fix(cov_enu: Matrix3Field, probability: Scalar) -> tuple[Numbers, Numbers]:
+    """(circular, linear) error of a covariance without a bias."""
+    cov, probability = jax.lax.stop_gradient((cov_enu, probability))
+    middle = np.zeros(3)
+    return circular_radius(cov, probability, middle), linear_radius(cov, probability, middle)
+
+
+def factors_over(
+    profile: Profile,
+    direction_enu: Vector3Field,
+    cov_enu: Matrix3Field,
+    probability: Scalar,
+    radii: tuple[Numbers, Numbers],
+) -> tuple[Scalar, Scalar]:
+    """`profile_factors` for given `radii_about_fix`."""
+    given = jax.lax.stop_gradient((cov_enu, direction_enu, probability, radii))
+    cov, direction, probability, radii = given
     along, _ = along_of(direction)
     plane = profile.over_plane(safe_sqrt(along @ cov[:2, :2] @ along), safe_sqrt(cov[2, 2]))
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), profile, plane)
-    middle = jnp.zeros(3)
-    circular = _ends(circular_radius(cov, probability, middle), AGREEMENT)
-    linear = _ends(linear_radius(cov, probability, middle), AGREEMENT_UP)
+    circular, linear = _ends(radii[0], AGREEMENT), _ends(radii[1], AGREEMENT_UP)
     across = jax.vmap(lambda one: one.circular_error(probability, circular))(both)
     up = jax.vmap(lambda one: one.linear_error(probability, linear))(both)
     return _factor(across[0], across[1], AGREEMENT), _factor(up[0], up[1], AGREEMENT_UP)
@@ -136,14 +141,16 @@ def _ends(radius: Scalar, most: float) -> tuple[Scalar, Scalar]:
     return radius * math.exp(-2.0 * most), radius * math.exp(2.0 * most)
 
 
-def over_profile(
-    radii: tuple[Numbers, Numbers, Numbers], factors: Float[Array, "... 2"]
-) -> tuple[Numbers, Numbers, Numbers]:
-    """Circular, linear and spherical error of linear propagation, times the factors of the terrain profile."""
+def over_profile(xp: Any, radii: tuple[Any, Any, Any], factors: Any) -> tuple[Any, Any, Any]:
+    """Circular, linear and spherical error of linear propagation, times the factors (..., 2) of the terrain profile.
+
+    `xp` is NumPy or jax.numpy.
+    """
     circular, linear, spherical = radii
     across, up = factors[..., 0], factors[..., 1]
-    beyond = jnp.maximum(spherical**2 - circular**2, 0.0)  # of the height
-    return circular * across, linear * up, safe_sqrt((spherical**2 - beyond) * across**2 + beyond * up**2)
+    beyond = xp.maximum(spherical**2 - circular**2, 0.0)  # of the height
+    root = safe_sqrt if xp is jnp else xp.sqrt
+    return circular * across, linear * up, root((spherical**2 - beyond) * across**2 + beyond * up**2)
 
 
 def _factor(profile: Numbers, plane: Numbers, most: float) -> Numbers:

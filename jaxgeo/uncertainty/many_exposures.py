@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._accelerator import by_device
 from jaxgeo._checks import as_array, as_float64, is_known
 from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks, quick_filter_jit
 from jaxgeo._typing import Numbers, Scalar
 from jaxgeo.fix import Fix
 from jaxgeo.sensor import Shot
 from jaxgeo.status import have_fix
-from jaxgeo.terrain import AbstractSearch, Bracket
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
-from jaxgeo.uncertainty.linear_accuracy import (
-    LinearAccuracy,
-    assess_fix,
-    linear_radii,
-    linear_radii_of_many,
-    select_linear,
-)
-from jaxgeo.uncertainty.map_cells import Request, block_size
+from jaxgeo.uncertainty.linear import OverSlope, derivatives
+from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
+from jaxgeo.uncertainty.many_fixes import Normality, Perturbed, assess_blocks, size_of_blocks
+from jaxgeo.uncertainty.map_cells import Request
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, located_apart, nominal_fix_of, of_arrays
+from jaxgeo.uncertainty.normality import is_normal_over
 from jaxgeo.uncertainty.sampled import sample_where_needed
 
-AT_ONCE = 16  # exposures of a block on a CPU, at most: more are not faster, and one size is compiled
 NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
 OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
 
@@ -63,20 +59,20 @@ class Batch(NamedTuple):
 def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Request) -> Accuracy:
     """`accuracy` of n exposures, of arguments in the order of `NAMES`; traced ones are evaluated all at once."""
     batch, number = check_batch(given, in_axes, request.search)
-    options = (batch.shared, batch.axes, request.search, request.probability)
     note = batch.given[NAMES.index("errors")].left_out
     if not is_known(batch.given):
-        nominals, found = _assess_block(batch.lanes, None, *options)
+        nominals, found = _assess_traced(batch, request)
         return _of_traced(nominals, found, linear_radii(found, request.probability), request.probability, note)
     if number == 1:
         one: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
         nominals, found, radii = one
     else:
-        size = min(request.block, by_device(AT_ONCE, block_size(number, request.block)))
+        size = size_of_blocks(number, request.block)
         lanes: Any = batch.lanes, _located(batch, number, request)
         parts = blocks_of(lanes, size, "estimating accuracy", request.sampling.progress)
-        nominals, found = concatenate([_assess_block(own, met, *options) for own, met in parts], number)
-        radii = linear_radii_of_many(found, request.probability)
+        blocks = (_perturbed(own, met, batch, request.search) for own, met in parts)
+        terrain_axis = batch.axes[NAMES.index("terrain")]
+        nominals, found, radii = assess_blocks(blocks, number, terrain_axis, request.probability)
 
     def observation_at(index: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
         inputs, model = inputs_of(batch.at(index))
@@ -176,23 +172,61 @@ def _located(batch: Batch, number: int, request: Request) -> tuple[Fix, Bracket]
     return concatenate([jax.vmap(one)(part) for part in parts], number)
 
 
+def _perturbed(
+    lanes: tuple[Any, ...], located: tuple[Fix, Bracket] | None, batch: Batch, search: AbstractSearch
+) -> tuple[Perturbed, AbstractTerrain, Normality | None]:
+    """A block of observations for `assess_blocks`."""
+    number = NAMES.index("terrain")
+    terrain = lanes[number] if batch.axes[number] == 0 else batch.shared[number]
+    model = batch.given[NAMES.index("errors")]
+    found = _derivatives_block(lanes, located, batch.shared, batch.axes, search)
+    normality = None if model.is_normal else functools.partial(_normality_block, lanes, batch.shared, batch.axes)
+    return found, terrain, normality
+
+
 @batch_filter_jit
-def _assess_block(
+def _derivatives_block(
     lanes: tuple[Any, ...],
     located: tuple[Fix, Bracket] | None,
     shared: tuple[Any, ...],
     axes: Axes,
     search: AbstractSearch,
-    probability: Scalar,
-) -> tuple[NominalFix, LinearAccuracy]:
-    """Nominal fixes and their accuracy; of those that are `located` already, without a search."""
+) -> Perturbed:
+    """Nominal fixes and the derivatives by the errors; of those that are `located` already, without a search."""
 
-    def one(own: tuple[Any, ...], met: tuple[Fix, Bracket] | None) -> tuple[NominalFix, LinearAccuracy]:
+    def one(own: tuple[Any, ...], met: tuple[Fix, Bracket] | None) -> Perturbed:
         inputs, model = inputs_of(_merge(own, shared, axes))
         nominal = inputs.nominal_fix(search) if met is None else nominal_fix_of(inputs, *met)
-        return nominal, assess_fix(inputs, nominal, model, probability)
+        return Perturbed(nominal, derivatives(inputs, nominal, model).shared)
 
     return jax.vmap(one)(lanes, located)
+
+
+@batch_filter_jit
+def _normality_block(
+    lanes: tuple[Any, ...],
+    shared: tuple[Any, ...],
+    axes: Axes,
+    nominals: NominalFix,
+    facet: OverSlope,
+    footprint: OverSlope,
+) -> tuple[Any, Any]:
+    def one(own: tuple[Any, ...], nominal: NominalFix, *over: OverSlope) -> tuple[Any, ...]:
+        inputs, model = inputs_of(_merge(own, shared, axes))
+        return tuple(is_normal_over(inputs, nominal, model, each) for each in over)
+
+    return jax.vmap(one)(lanes, nominals, facet, footprint)
+
+
+def _assess_traced(batch: Batch, request: Request) -> tuple[NominalFix, LinearAccuracy]:
+    """Nominal fixes and their accuracy, as part of the caller's program."""
+
+    def one(own: tuple[Any, ...]) -> tuple[NominalFix, LinearAccuracy]:
+        inputs, model = inputs_of(_merge(own, batch.shared, batch.axes))
+        nominal = inputs.nominal_fix(request.search)
+        return nominal, assess_fix(inputs, nominal, model, request.probability)
+
+    return jax.vmap(one)(batch.lanes)
 
 
 def _of_traced(

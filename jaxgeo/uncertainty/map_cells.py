@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from numbers import Integral
 from typing import Any, NamedTuple
 
@@ -22,10 +23,12 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory, point_shot
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, Dem
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate
-from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix
+from jaxgeo.uncertainty.linear import OverSlope, Shared, derivatives
+from jaxgeo.uncertainty.many_fixes import Normality, Perturbed
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, located_apart, nominal_fix_of
+from jaxgeo.uncertainty.normality import is_normal_over
 from jaxgeo.uncertainty.sampling import Sampling
 
 BLOCK = 128  # fixes evaluated at once: about 100 MB
@@ -132,13 +135,32 @@ def locate_cells(
     return jax.vmap(one)(cells, met)
 
 
+def perturbed_cells(
+    cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel
+) -> tuple[Perturbed, AbstractTerrain, Normality | None]:
+    """A block of cells for `assess_blocks`."""
+    normality = None if model.is_normal else functools.partial(_normality_of_cells, cells, context, model)
+    return Perturbed(nominals, _derivatives_of_cells(cells, nominals, context, model)), context.terrain, normality
+
+
 @batch_filter_jit
-def assess_cells(
-    cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel, probability: Scalar
-) -> LinearAccuracy:
-    """Accuracy of cells by linear propagation."""
-    one = lambda cell, nominal: assess_fix(context.inputs(cell), nominal, model, probability)  # noqa: E731
-    return jax.vmap(one)(cells, nominals)
+def _derivatives_of_cells(cells: Cell, nominals: NominalFix, context: MapContext, model: ErrorModel) -> Shared:
+    return jax.vmap(lambda cell, nominal: derivatives(context.inputs(cell), nominal, model).shared)(cells, nominals)
+
+
+@batch_filter_jit
+def _normality_of_cells(
+    cells: Cell,
+    context: MapContext,
+    model: ErrorModel,
+    nominals: NominalFix,
+    facet: OverSlope,
+    footprint: OverSlope,
+) -> tuple[Any, Any]:
+    def one(cell: Cell, nominal: NominalFix, *over: OverSlope) -> tuple[Any, ...]:
+        return tuple(is_normal_over(context.inputs(cell), nominal, model, each) for each in over)
+
+    return jax.vmap(one)(cells, nominals, facet, footprint)
 
 
 @eqx.filter_jit
@@ -154,13 +176,6 @@ def select(tree: Any, here: np.ndarray) -> tuple[np.ndarray, Any]:
     index = np.flatnonzero(here)
     rows = index if index.size else np.zeros(1, int)
     return index, jax.tree.map(lambda leaf: np.asarray(leaf)[rows], tree)
-
-
-def block_size(count: int, block: int) -> int:
-    """Size of the blocks for a number of cells: at most the next power of two, on an accelerator of eight, where a
-    program takes longer to compile and larger blocks hardly take longer to run."""
-    step = by_device(1, 3)
-    return min(block, 1 << step * -(-(count - 1).bit_length() // step))
 
 
 def _project_cell(lat: Scalar, lon: Scalar, context: MapContext) -> Cell:

@@ -91,12 +91,12 @@ def diagnose(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Dia
     else:
         model = model.at(inputs, nominal)
         sweep, cov_error = model.sweep(inputs, nominal), model.covariance()
-        found = _examine(inputs.terrain, nominal, sweep, cov_error)
+        found = examine(inputs.terrain, nominal, sweep, cov_error)
         facet, footprint = (propagation_of(nominal, model, cov_error, one) for one in (found.facet, found.footprint))
     return Diagnosed(_diagnostics(found), facet, footprint, found.profile)
 
 
-class _Examined(NamedTuple):
+class Examined(NamedTuple):
     """What the diagnostics come from: linear propagation over facet and footprint, the terrain profile and its circular
     and linear error, the covariances (2, 3, 3) and biases (2, 3) over facet and footprint."""
 
@@ -110,16 +110,16 @@ class _Examined(NamedTuple):
 
 
 @quick_filter_jit
-def _examine_shared(terrain: AbstractTerrain, nominal: NominalFix, shared: Shared) -> _Examined:
-    return _examine(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error)
+def _examine_shared(terrain: AbstractTerrain, nominal: NominalFix, shared: Shared) -> Examined:
+    return examine(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error)
 
 
-def _examine(
+def examine(
     terrain: AbstractTerrain, nominal: NominalFix, sweep: Sweep, cov_error: Float[Array, "axes axes"]
-) -> _Examined:
+) -> Examined:
     facet, footprint = (over_slope(terrain, nominal, sweep, cov_error, slope) for slope in (FACET, FOOTPRINT))
     profile = profile_of(terrain, nominal, sweep, cov_error, footprint.surface.normal)
-    return _Examined(
+    return Examined(
         facet,
         footprint,
         profile,
@@ -130,10 +130,16 @@ def _examine(
     )
 
 
-def _diagnostics(found: _Examined) -> Diagnostics:
+def _diagnostics(found: Examined) -> Diagnostics:
     radii = (radius(found.cov_enu, LEVEL, found.bias_enu) for radius in (circular_radius, linear_radius))
-    (facet, footprint), (facet_up, footprint_up) = (by_numpy_if_known(lambda _, x: (x[0], x[1]), x) for x in radii)
+    both = [by_numpy_if_known(lambda _, x: (x[0], x[1]), x) for x in radii]
+    return diagnostics_of(found, (*both[0], *both[1]))
+
+
+def diagnostics_of(found: Examined, radii: tuple[Any, Any, Any, Any]) -> Diagnostics:
+    """Diagnostics with given radii of `LEVEL`: circular errors over (facet, footprint), then linear errors."""
     profile, profile_up = found.over_profile
+    facet, footprint, facet_up, footprint_up = radii
     return Diagnostics(
         facet,
         footprint,
@@ -163,8 +169,8 @@ class Method(enum.IntEnum):
         return ("linear propagation", "linear propagation over the footprint", "samples")[self]
 
 
-def select_method(diagnostics: Diagnostics) -> Int[Array, ""]:
-    """The valid method according to the diagnostics, as a `Method` code; use `vmap` for many fixes."""
+def select_method(diagnostics: Diagnostics) -> Int[Array, "..."]:
+    """The valid method according to the diagnostics of one or many fixes, as a `Method` code."""
     return by_numpy_if_known(_select_method, diagnostics)
 
 

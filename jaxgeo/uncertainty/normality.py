@@ -6,7 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._typing import Flag
-from jaxgeo.uncertainty.linear import Propagation
+from jaxgeo.uncertainty.linear import OverSlope, Propagation, propagation_of
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 MOST_SKEWNESS, MOST_EXCESS = 0.5, 1.0  # of the error of a fix, beyond which its quantiles are not those of a normal one
 NOTHING = 1e-3  # of the horizontal error: smaller vertical ones are negligible
@@ -28,6 +30,13 @@ def is_nearly_normal(propagation: Propagation) -> Flag:
     third = jnp.sum(_times(share**3, skewness), axis=1)
     fourth = jnp.sum(_times(share**4, excess), axis=1)
     return jnp.all(((jnp.abs(third) <= MOST_SKEWNESS) & (jnp.abs(fourth) <= MOST_EXCESS)) | ~matters)
+
+
+def is_normal_over(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, found: OverSlope) -> Flag:
+    """`is_nearly_normal` of a result over a slope, which may have further axes of zeros."""
+    model = model.at(inputs, nominal)
+    own = found._replace(jacobian=found.jacobian[:, : model.size])
+    return is_nearly_normal(propagation_of(nominal, model, model.covariance(), own))
 
 
 def _of_axes(propagation: Propagation) -> tuple[Float[Array, " axes"], Float[Array, " axes"]]:

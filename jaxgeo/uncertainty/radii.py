@@ -8,13 +8,22 @@ import jax
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._compile import is_direct, quick_jit
+from jaxgeo._accelerator import by_device
+from jaxgeo._compile import batch_filter_jit, is_direct, quick_jit
 from jaxgeo._typing import Numbers
+from jaxgeo.uncertainty.host_arrays import blocks_of
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics._host import MOST, host_radii
 
+AT_ONCE, AT_ONCE_ACCELERATOR = 128, 1024  # radii of one call of a program
+
 # Under `jit` an invalid covariance gives NaN instead of an exception.
 _circular_error, _linear_error, _spherical_error = map(quick_jit, (circular_error, linear_error, spherical_error))
+_OF_MANY = {
+    1: batch_filter_jit(linear_error),
+    2: batch_filter_jit(circular_error),
+    3: batch_filter_jit(spherical_error),
+}
 
 
 def circular_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numbers:
@@ -43,3 +52,22 @@ def _at_hand(cov: Any, bias: Any) -> tuple[Any, Any]:
     if is_direct() and bias.size <= 3 * MOST:
         return np.asarray(cov), np.asarray(bias)
     return cov, bias
+
+
+def radii_of_many(cov: np.ndarray, probability: np.ndarray, bias: np.ndarray, is_few: bool) -> np.ndarray:
+    """Radii of covariances (..., d, d) and biases (..., d); NaN if they are invalid.
+
+    If they are few, by NumPy; else, and where that has none, by a program of one size.
+    """
+    d, batch = bias.shape[-1], bias.shape[:-1]
+    cov, bias = cov.reshape(-1, d, d), bias.reshape(-1, d)
+    if not len(cov):
+        return np.zeros(batch)
+    if is_few:
+        found: Any = [host_radii(cov[k : k + MOST], probability, bias[k : k + MOST]) for k in range(0, len(cov), MOST)]
+        if not any(one is None for one in found):
+            return np.concatenate(found).reshape(batch)
+    given: Any = (cov, bias) if d > 1 else (cov[:, 0, 0], bias[:, 0])
+    parts = blocks_of(given, by_device(AT_ONCE, AT_ONCE_ACCELERATOR), "computing radii", progress=False)
+    found = [np.asarray(_OF_MANY[d](part[0], probability, part[1])) for part in parts]
+    return np.concatenate(found)[: len(cov)].reshape(batch)

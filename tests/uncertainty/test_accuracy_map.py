@@ -12,7 +12,8 @@ from jaxgeo import Geodetic, Pose, Shot, Status, Trajectory, _accelerator
 from jaxgeo.earth import WGS84
 from jaxgeo.sensor import point_shot
 from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, Sampling, accuracy, accuracy_map, sources
-from jaxgeo.uncertainty.map_cells import block_size, check_block
+from jaxgeo.uncertainty.host_arrays import block_size
+from jaxgeo.uncertainty.map_cells import check_block
 from tests.support import looks
 from tests.support.scenes import rough, small_dem
 

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo import ConstantHeight, Shot
-from jaxgeo.uncertainty import NO_FIX, Accuracy, ErrorModel, Method, Sampling, accuracy, sources
+from jaxgeo import ConstantHeight, Gimbal, Mount, Sensor, Shot
+from jaxgeo.terrain import HeightFunction
+from jaxgeo.uncertainty import NO_FIX, Accuracy, ErrorModel, Method, Sampling, accuracy, method_selection, sources
+from jaxgeo.uncertainty.profile import profile_of
 from tests.support import looks
 from tests.support.looks import UV, pose, sensor
 from tests.support.scenes import rough, small_dem
@@ -93,6 +95,29 @@ def test_samples_over_terrain_that_are_not_drawn_leave_no_figures(dem) -> None:
     assert sampled.any()
     assert np.isnan(np.asarray(found.circular)[sampled]).all()
     assert np.isnan(np.asarray(found.cov_enu)[sampled]).all()
+
+
+@pytest.mark.costly
+def test_slopes_profile_and_radii_are_compiled_once_for_all_cameras_and_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exposures with an axis more or a source more add the program of their derivatives only."""
+    traced = []
+
+    def counted(*given):
+        traced.append(given)
+        return profile_of(*given)
+
+    monkeypatch.setattr(method_selection, "profile_of", counted)
+    ground = HeightFunction(lambda place: 100.0 + 0.0 * place.lat, 99.0, 101.0, lipschitz=0.01)  # a program of its own
+    shots, uv = looks.stacked(*[looks.level_shot()] * 3), np.tile(looks.LEVEL_UV, (3, 1))
+    attitude = sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1)
+    given = {"in_axes": OF_SHOTS, "sampling": None}
+    one = accuracy(looks.level_sensor(), shots, uv, ground, (attitude,), **given)
+    two = accuracy(looks.level_sensor(), shots, uv, ground, (attitude, attitude), **given)
+    fixed = Sensor(looks.level_sensor().camera, Gimbal.fixed(), Mount.nadir())
+    still = looks.stacked(*[Shot(looks.level_shot().pose)] * 3)
+    accuracy(fixed, still, uv, ground, (attitude,), **given)
+    assert len(traced) == 1
+    np.testing.assert_allclose(two.cov_enu, 2.0 * np.asarray(one.cov_enu), rtol=1e-9, atol=1e-9)
 
 
 def test_mistakes() -> None:
