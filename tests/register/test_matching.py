@@ -15,7 +15,7 @@ from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.correlation import correlations
 from jaxgeo.register.flattening import remove_illumination
 from jaxgeo.register.matching import match_blocks
-from jaxgeo.register.peaks import MOST_ADDED, _top_of_paraboloid, ellipses, joined
+from jaxgeo.register.peaks import MOST_ADDED, _top_of_paraboloid, best_peaks, ellipses, joined
 
 SIDE, SIZE = 160, 40
 SHIFT = np.array([2.3, -1.4])
@@ -302,3 +302,22 @@ def test_the_offset_of_a_peak_is_the_top_of_its_paraboloid(place: tuple[float, f
     np.testing.assert_allclose(top, place, rtol=0, atol=1e-12)
     beside = _top_of_paraboloid(jnp.asarray(score), jnp.asarray(2), jnp.asarray(5))
     np.testing.assert_allclose(beside, (0.5, place[1]), rtol=0, atol=1e-12)
+
+
+def test_the_best_peak_is_between_cells_where_the_texture_is() -> None:
+    """Before any refinement: of a smooth texture moved by a known part of a cell."""
+    rng, side, half = np.random.default_rng(3), 32, 4
+    waves, phase = rng.normal(0.0, 0.4, (12, 2)), rng.uniform(0.0, 2.0 * np.pi, 12)
+
+    def texture(begin: int, size: int, moved: np.ndarray) -> np.ndarray:
+        place = np.arange(begin, begin + size, dtype=float)
+        down, across = (place[:, None, None] - moved[0]), (place[None, :, None] - moved[1])
+        return np.sum(np.cos(waves[:, 0] * down + waves[:, 1] * across + phase), axis=-1)
+
+    whitening, _ = ellipses(np.eye(2)[None], 0.9)
+    for moved in np.array([[1.3, -0.8], [-0.6, 2.3], [0.2, 0.4]]):
+        block, window = texture(0, side, np.zeros(2)), texture(-half, side + 2 * half, moved)
+        known = [np.ones((1, *each.shape), bool) for each in (block, window)]
+        given = (block[None], known[0], window[None], known[1], whitening / 2.0, np.array(0.5), np.array(2.0))
+        found = best_peaks(*map(jnp.asarray, given), peaks=1)
+        np.testing.assert_allclose((np.asarray(found.shift) + np.asarray(found.offset))[0, 0], moved, atol=0.2)
