@@ -14,6 +14,7 @@ from jaxgeo import Dem, Geodetic
 from jaxgeo._arguments import check_is, check_terrain
 from jaxgeo.earth import WGS84
 from jaxgeo.terrain import TangentGrid
+from jaxgeo.terrain.patch import Patch
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
 from jaxgeo.terrain.track import make_track
 
@@ -306,3 +307,13 @@ def test_the_mask_of_a_masked_array_is_kept():
     dem = Dem.from_array(posts, GRID)
     assert float(dem.lowest) == 1.0
     np.testing.assert_array_equal(dem.void, np.ma.getmaskarray(posts))
+
+
+def test_the_gradient_of_a_patch_is_the_difference_of_its_heights() -> None:
+    """Along rows and columns: exact for steps of any size, as the surface is linear along each."""
+    patch = Patch(first=1.0, next_col=2.0, next_row=4.0, last=9.0)
+    half = 0.5
+    for row, col in jnp.array([[0.2, 0.7], [-0.5, 1.5]]):
+        along_rows, along_cols = patch.gradient(row, col)
+        assert along_rows == pytest.approx(patch.at(row + half, col) - patch.at(row - half, col), rel=1e-12)
+        assert along_cols == pytest.approx(patch.at(row, col + half) - patch.at(row, col - half), rel=1e-12)

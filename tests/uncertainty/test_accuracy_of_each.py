@@ -9,7 +9,17 @@ import pytest
 
 from jaxgeo import ConstantHeight, Gimbal, Mount, Sensor, Shot
 from jaxgeo.terrain import HeightFunction
-from jaxgeo.uncertainty import NO_FIX, Accuracy, ErrorModel, Method, Sampling, accuracy, method_selection, sources
+from jaxgeo.uncertainty import (
+    NO_FIX,
+    Accuracy,
+    ErrorModel,
+    Method,
+    Sampling,
+    accuracy,
+    many_fixes,
+    method_selection,
+    sources,
+)
 from jaxgeo.uncertainty.profile import profile_of
 from tests.support import looks
 from tests.support.looks import UV, pose, sensor
@@ -118,6 +128,30 @@ def test_slopes_profile_and_radii_are_compiled_once_for_all_cameras_and_errors(m
     accuracy(fixed, still, uv, ground, (attitude,), **given)
     assert len(traced) == 1
     np.testing.assert_allclose(two.cov_enu, 2.0 * np.asarray(one.cov_enu), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.costly
+def test_figures_are_those_of_the_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the facet is made to differ from the terrain profile, those of the footprint, as on level ground."""
+    shots, uv = looks.stacked(*[looks.level_shot()] * 4), np.tile(looks.LEVEL_UV, (4, 1))
+    given = looks.level_sensor(), shots, uv, ConstantHeight(100.0), looks.level_errors(0.1)
+
+    def assessed() -> Accuracy:
+        return accuracy(*given, in_axes=OF_SHOTS, sampling=None)
+
+    level, examined = assessed(), many_fixes._examine_block
+
+    def with_a_steep_facet(*given):
+        found = examined(*given)
+        return found._replace(cov_enu=found.cov_enu.at[:, 0].multiply(4.0))
+
+    monkeypatch.setattr(many_fixes, "_examine_block", with_a_steep_facet)
+    found = assessed()
+    assert (np.asarray(level.method) == Method.facet).all()
+    assert (np.asarray(found.method) == Method.footprint).all()
+    for name in ("cov_enu", "circular", "linear", "spherical"):
+        np.testing.assert_allclose(getattr(found, name), getattr(level, name), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.diagnostics.facet, 2.0 * np.asarray(found.diagnostics.footprint), rtol=1e-6)
 
 
 def test_mistakes() -> None:
