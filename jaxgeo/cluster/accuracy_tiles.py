@@ -20,7 +20,6 @@ from jaxgeo._parallel import Work
 from jaxgeo.cluster.catalogue import (
     CELLS,
     KNOWN,
-    check_catalogue,
     compute_and_list,
     mosaic_file,
     write_catalogue,
@@ -102,7 +101,6 @@ def accuracy_map(
     `write_accuracy_map`.
     """
     require_x64()
-    check_catalogue()
     check_is(sensor, Sensor, "sensor")
     if isinstance(tile, bool) or not isinstance(tile, int | np.integer) or tile < 1:
         raise ValueError(f"tile must be a whole number of cells, 1 or more; got {tile!r}.")

@@ -31,15 +31,6 @@ COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 TIFF = "image/tiff; application=geotiff"
 
 
-def check_catalogue() -> Any:
-    """The library for STAC. Raises `ImportError` without the extra."""
-    try:
-        import pystac
-    except ImportError:
-        raise ImportError("catalogues of maps need the library pystac: pip install 'jaxgeo[cluster]'") from None
-    return pystac
-
-
 def write_item(
     path: pathlib.Path,
     assets: Mapping[str, tuple[str, Bands]],
@@ -53,7 +44,8 @@ def write_item(
 
     Without a raster the item has no place. The file appears only when complete.
     """
-    pystac = check_catalogue()
+    import pystac
+
     geometry, box, own = None, None, {}
     if raster is not None:
         geometry, box = outline_of(f"{path}", raster)
@@ -115,7 +107,8 @@ def compute_and_list(
 
 def write_catalogue(folder: pathlib.Path, items: Sequence[str], description: str) -> list[Any]:
     """Write the collection of all items, by file name, and all of them as one feature collection; returns them."""
-    pystac = check_catalogue()
+    import pystac
+
     each = [read_json(folder / name) for name in items]
     boxes = [one["bbox"] for one in each if one.get("bbox")]
     times = sorted(_times(each))

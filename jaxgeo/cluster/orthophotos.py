@@ -17,7 +17,6 @@ from jaxgeo._parallel import Work
 from jaxgeo.cluster.catalogue import (
     CELLS,
     STATUS,
-    check_catalogue,
     compute_and_list,
     mosaic_file,
     read_json,
@@ -113,7 +112,6 @@ def rectify_frames(
     folder that holds something else.
     """
     require_x64()
-    check_catalogue()
     check_is(interpolation, AbstractInterpolation, "interpolation")
     ground = _checked_ground(observed, terrain)
     files = images_of(images, observed)
