@@ -153,7 +153,7 @@ def test_every_command_with_a_dem_takes_an_archive(
         ("--dem copernicus --dem-band 2", "--dem-band 2: the tiles of archives have one band; leave it out."),
         ("--dem dem.tif --mirror http://host", "--mirror is for the archives of --dem, such as --dem copernicus"),
         ("--dem dem.tif --offline", "--offline is for the archives of --dem"),
-        ("--dem copernicos", "copernicos: no such file."),
+        ("--dem copernicos", "neither a file nor an archive; the archives are copernicus, .* Did you mean copernicus?"),
         ("--dem copernicus --mirror nowhere", r"--mirror 'nowhere': neither an address \(https://...\) nor a folder."),
         ("--dem copernicus --proxy localhost:1", "--proxy 'localhost:1': expected an address such as http://HOST:PORT"),
         ("--dem https://host/{S}{X}.tif", r"the field \{X\} is unknown"),

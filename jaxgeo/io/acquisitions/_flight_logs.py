@@ -18,7 +18,7 @@ from jaxgeo.io.acquisitions._attitudes import attitudes_of
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
-from jaxgeo.io.given_camera import AS_GIVEN
+from jaxgeo.io.given_camera import AS_GIVEN, OWN_CAMERA
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import Sentinel, sentinel_of
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -77,7 +77,7 @@ def acquisition_of_records(
     if cameras is not None:
         check_is(cameras, FrameCamera, "cameras")
     if camera is not None:
-        raise TableError(f"{path}: camera={camera!r} is asked for, but the file names no cameras.")
+        raise TableError(f"{path}: camera={camera!r} is asked for, but the file names no cameras. Give {OWN_CAMERA}.")
     records = [_without_nan(record) for record in records]
     for record in records:
         _check_range(path, record)
