@@ -89,8 +89,8 @@ def accuracy_map(
     - `how`: other options of `jaxgeo.uncertainty.accuracy_map`: `probability`, `sampling`, `time`, ...
 
     The tile of row i and column j is `tile-0000i-0000j.tif`, beside its STAC item (.json); all have the bands of
-    `write_accuracy_map`. `mosaic.vrt` is the whole map; `collection.json` and `items.json` list all items. Needs the
-    extra `cluster`.
+    `write_accuracy_map`. `mosaic.vrt` is the whole map; `collection.json` and `items.json` list all items. A Dask
+    client needs the extra `cluster`.
 
     Figures are those of `write_accuracy_map` except for rounding; a cell whose centre lies on the edge of two facets of
     the terrain, as many do at its own spacing, may take the slope of either.
