@@ -183,7 +183,7 @@ def test_archives_are_listed(home: pathlib.Path) -> None:
     assert listed.exit_code == 0
     for name in ("copernicus ", "copernicus-90 ", "srtm ", "skadi ", "3dep "):
         assert f"\n{name}" in f"\n{listed.stdout}"
-    assert "heights above EPSG:3855. Licence: free for any use" in listed.stdout
+    assert re.search(r"heights above EPSG:3855\n +licence: free for any use", listed.stdout)
     told = json.loads(run("dem --json").stdout)
     assert [one["name"] for one in told["archives"]][:2] == ["copernicus", "copernicus-90"]
     assert told["cache"]["folder"] == str(home / ".cache" / "jaxgeo" / "dem")

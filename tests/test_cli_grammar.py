@@ -250,7 +250,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--stream 1 --errors e --no-velocities --interior i --reconstruction 1 --gimbal 1,2,3 --time 1 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "doctor --json --debug",
-    "demo -o picture.png --write-scene scene.toml --json --debug",
+    "demo -o picture.png --write-scene scene.toml --write-dem dem.tif --json --debug",
     "study all -o out --seed 1 --json --debug",
     "study li2020 -o out --seed 1 --json --debug",
     "study li2023 -o out --samples 100 --seed 1 --cluster local:1 --json --debug",
