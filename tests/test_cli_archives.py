@@ -256,8 +256,16 @@ def test_offline_the_missing_tile_goes_where_it_is_said(home: pathlib.Path, arch
     refused = run(f"dem {AREA} --offline")
     message = " ".join(refused.stderr.split())
     assert "offline, and heights above EPSG:3855 need the geoid grid us_nga_egm08_25.tif" in message
-    assert "give another --dem-datum, or put the file into" in message
+    assert "or put the file into" in message
+    assert 'take --dem-datum "EPSG:5773"' in message
     assert run(f"dem {AREA} --offline --dem-datum EPSG:5773").exit_code == 0
+
+
+def test_offline_level_ground_is_named_where_a_command_takes_it(home: pathlib.Path) -> None:
+    prepare(pathlib.Path(), "jaxgeo locate --scene scene.toml --dem dem.tif")
+    refused = run("locate --scene scene.toml --dem copernicus --pixel 1200,2400 --offline")
+    assert refused.exit_code == 2
+    assert " ".join(refused.stderr.split()).endswith("Without an elevation model: --ground HEIGHT, level ground, in m.")
 
 
 def test_the_geoid_command_that_is_advised(

@@ -46,6 +46,7 @@ def demo_command(
     with report_errors(debug):
         files = {"--write-scene": write_scene, "--write-dem": write_dem}
         wanted = {option: path for option, path in files.items() if path is not None}
+        _check_files(wanted)
         if output is None and wanted:
             _write_files(wanted)
             if as_json:
@@ -80,21 +81,29 @@ def _picture_format(output: pathlib.Path) -> str:
     raise UserError(f"--output {output}: {name_says(output)}; use {', '.join(PICTURES)}.")
 
 
-def _write_files(wanted: dict[str, pathlib.Path]) -> None:
-    """Write the scene file and the elevation model of the demo to the places of the options."""
+def _sources() -> dict[str, pathlib.Path]:
+    """The files of the demo by the options that write them."""
     from jaxgeo import demo
 
     scene = demo.scene_file()
-    sources = {"--write-scene": scene, "--write-dem": scene.with_name("jacksboro.tif")}
+    return {"--write-scene": scene, "--write-dem": scene.with_name("jacksboro.tif")}
+
+
+def _check_files(wanted: dict[str, pathlib.Path]) -> None:
+    """Raises `UserError` for two options that name one file, and for places that cannot be written or are inputs."""
     places = [path.resolve() for path in wanted.values()]
     if len(set(places)) < len(places):
         raise UserError(f"--write-scene and --write-dem both name {next(iter(wanted.values()))}; name two files.")
     for option, path in wanted.items():
-        check_no_overwrite(option, path, [*sources.values()])
+        check_no_overwrite(option, path, [*_sources().values()])
         check_place(option, path)
+
+
+def _write_files(wanted: dict[str, pathlib.Path]) -> None:
+    """Write the files of the demo to the places of the options."""
     for option, path in wanted.items():
         with destination(option, path, binary=True) as stream:
-            stream.write(sources[option].read_bytes())
+            stream.write(_sources()[option].read_bytes())
 
 
 def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any, Any]:
