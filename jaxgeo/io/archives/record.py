@@ -63,7 +63,8 @@ class FetchedDem:
         said = "as its files state" if own is None else names.get(own, own)
         if self.stated is None or self.stated == own:
             return said
-        taken = f"{self.stated:g} m" if isinstance(self.stated, float | int) else names.get(self.stated, self.stated)
+        is_number = isinstance(self.stated, float | int)
+        taken = f"{self.stated:g} m" if is_number else names.get(f"{self.stated}", f"{self.stated}")
         return taken if own is None else f"{said}, taken as above {taken}"
 
     def messages(self) -> list[str]:
