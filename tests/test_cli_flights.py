@@ -17,7 +17,7 @@ from tests.io.test_flight_log_programs import litchi
 
 SCALE = 400.0 * 2.41e-6 / 8.8e-3  # m of ground at 500 m in a pixel, seen from 900 m
 CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
-NO_GROUND = "give the ground: either --dem FILE, or --ground HEIGHT"
+NO_GROUND = "give the ground: --dem FILE, an elevation model; --dem copernicus"
 SECONDS = ("31.000", "32.000", "33.500")
 
 
