@@ -83,7 +83,7 @@ def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Pat
     )  # the area is that on the ellipsoid, below
     assert found["columns_m"] == pytest.approx(SCALE, rel=1e-4)
     for wrong, words in (
-        ([], "give the ground: either --dem FILE, or --ground HEIGHT"),
+        ([], NO_GROUND),
         (["--ground", "1", "--dem", "dem.tif"], "--dem and --ground exclude each other: give one of them."),
         (["--ground", "1", "--style"], "--style needs --output FILE"),
         (["--ground", "reported"], "--ground 'reported': expected a height in m"),
