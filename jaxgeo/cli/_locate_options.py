@@ -217,7 +217,9 @@ class LocateOptions:
             if self.pixels:
                 raise UserError("give either --pixel COLUMN,ROW (repeatable) or --shots FILE.")
         self._check_detections()
-        if bool(ground.dem) == (ground.level is not None):
+        if ground.dem and ground.level is not None:
+            raise UserError("--dem and --ground exclude each other: give one of them.")
+        if not ground.dem and ground.level is None:
             raise UserError(NO_GROUND)
         if not ground.dem:
             check_goes_with_dem(ground)
