@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
+from jaxgeo._checks import is_known
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, ScalarField, StatusField, Vector3Field
 from jaxgeo.earth.geodetic import Geodetic
@@ -56,6 +58,24 @@ class Fix(Record):
             "slope_deg": np.rad2deg(self.slope).tolist(),
             "status": words[0] if status.ndim == 0 else np.reshape(words, status.shape).tolist(),
         }
+
+    def __str__(self) -> str:
+        """Position, range and status of one fix, counts of statuses of many; fields if they are traced."""
+        if not is_known(self):
+            return repr(self)
+        codes = np.asarray(self.status)
+        if codes.ndim:
+            counts = Counter(Status(int(code)).name for code in codes.reshape(-1))
+            each = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+            return f"{codes.size} fix{'es' if codes.size != 1 else ''}: {each or 'none'}"
+        status = Status(int(codes))
+        if not bool(self.found):
+            return f"no fix: {status.name}: {status.message}"
+        lat, lon, height = (float(number) for number in self.position.to_degrees())
+        return (
+            f"{lat:.7f}, {lon:.7f} deg, {height:.2f} m above the ellipsoid, {float(self.slant_range):.1f} m away: "
+            f"{status.name}"
+        )
 
 
 class Projection(Record):

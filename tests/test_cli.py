@@ -290,6 +290,16 @@ def test_no_partial_output_is_left(tmp_path: pathlib.Path, shots_file) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "shots.csv"]
 
 
+def test_files_of_the_demo_are_written_without_running_it(tmp_path: pathlib.Path) -> None:
+    scene, dem = tmp_path / "scene.toml", tmp_path / "dem.tif"
+    result = run("demo", "--write-scene", scene, "--write-dem", dem)
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert scene.read_bytes() == scene_file().read_bytes()
+    assert dem.read_bytes() == scene_file().with_name("jacksboro.tif").read_bytes()
+    assert sorted(tmp_path.iterdir()) == [dem, scene]
+    assert_refused(run("demo", "--write-scene", scene, "--write-dem", scene), "both name", "name two files")
+
+
 @pytest.mark.slow
 def test_demo_shows_a_table_and_a_picture(tmp_path: pathlib.Path) -> None:
     picture, scene = tmp_path / "demo.png", tmp_path / "scene.toml"

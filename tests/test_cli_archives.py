@@ -153,7 +153,7 @@ def test_every_command_with_a_dem_takes_an_archive(
         ("--dem copernicus --dem-band 2", "--dem-band 2: the tiles of archives have one band; leave it out."),
         ("--dem dem.tif --mirror http://host", "--mirror is for the archives of --dem, such as --dem copernicus"),
         ("--dem dem.tif --offline", "--offline is for the archives of --dem"),
-        ("--dem copernicos", "copernicos: no such file."),
+        ("--dem copernicos", "neither a file nor an archive; the archives are copernicus, .* Did you mean copernicus?"),
         ("--dem copernicus --mirror nowhere", r"--mirror 'nowhere': neither an address \(https://...\) nor a folder."),
         ("--dem copernicus --proxy localhost:1", "--proxy 'localhost:1': expected an address such as http://HOST:PORT"),
         ("--dem https://host/{S}{X}.tif", r"the field \{X\} is unknown"),
@@ -183,7 +183,7 @@ def test_archives_are_listed(home: pathlib.Path) -> None:
     assert listed.exit_code == 0
     for name in ("copernicus ", "copernicus-90 ", "srtm ", "skadi ", "3dep "):
         assert f"\n{name}" in f"\n{listed.stdout}"
-    assert "heights above EPSG:3855. Licence: free for any use" in listed.stdout
+    assert re.search(r"heights above EPSG:3855\n +licence: free for any use", listed.stdout)
     told = json.loads(run("dem --json").stdout)
     assert [one["name"] for one in told["archives"]][:2] == ["copernicus", "copernicus-90"]
     assert told["cache"]["folder"] == str(home / ".cache" / "jaxgeo" / "dem")
@@ -256,8 +256,16 @@ def test_offline_the_missing_tile_goes_where_it_is_said(home: pathlib.Path, arch
     refused = run(f"dem {AREA} --offline")
     message = " ".join(refused.stderr.split())
     assert "offline, and heights above EPSG:3855 need the geoid grid us_nga_egm08_25.tif" in message
-    assert "give another --dem-datum, or put the file into" in message
+    assert "or put the file into" in message
+    assert 'take --dem-datum "EPSG:5773"' in message
     assert run(f"dem {AREA} --offline --dem-datum EPSG:5773").exit_code == 0
+
+
+def test_offline_level_ground_is_named_where_a_command_takes_it(home: pathlib.Path) -> None:
+    prepare(pathlib.Path(), "jaxgeo locate --scene scene.toml --dem dem.tif")
+    refused = run("locate --scene scene.toml --dem copernicus --pixel 1200,2400 --offline")
+    assert refused.exit_code == 2
+    assert " ".join(refused.stderr.split()).endswith("Without an elevation model: --ground HEIGHT, level ground, in m.")
 
 
 def test_the_geoid_command_that_is_advised(

@@ -21,7 +21,6 @@ import jaxgeo.cluster.frames
 from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cluster import Run
 
-pytest.importorskip("pystac")
 parquet: Any = pytest.importorskip("pyarrow.parquet")
 
 

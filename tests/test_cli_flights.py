@@ -17,7 +17,7 @@ from tests.io.test_flight_log_programs import litchi
 
 SCALE = 400.0 * 2.41e-6 / 8.8e-3  # m of ground at 500 m in a pixel, seen from 900 m
 CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
-NO_GROUND = "give the ground: either --dem FILE, or --ground HEIGHT"
+NO_GROUND = "give the ground: --dem FILE, an elevation model; --dem copernicus"
 SECONDS = ("31.000", "32.000", "33.500")
 
 
@@ -83,7 +83,7 @@ def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Pat
     )  # the area is that on the ellipsoid, below
     assert found["columns_m"] == pytest.approx(SCALE, rel=1e-4)
     for wrong, words in (
-        ([], "give the ground: either --dem FILE, or --ground HEIGHT"),
+        ([], NO_GROUND),
         (["--ground", "1", "--dem", "dem.tif"], "--dem and --ground exclude each other: give one of them."),
         (["--ground", "1", "--style"], "--style needs --output FILE"),
         (["--ground", "reported"], "--ground 'reported': expected a height in m"),

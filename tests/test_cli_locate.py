@@ -152,7 +152,7 @@ WRONG = [
         ["vertical datum of its altitude is not stated", 'Give --camera-datum: "ellipsoid"'],
     ),
     (["{image}", "--camera-datum", "ellipsoid"], ["give the ground", "--dem FILE", "--ground HEIGHT"]),
-    (["{image}", *GROUND, "--dem", DEM], ["give the ground", "either"]),
+    (["{image}", *GROUND, "--dem", DEM], ["--dem and --ground exclude each other"]),
     (["{image}", "--ground", "high", "--camera-datum", "ellipsoid"], ["--ground 'high'", "a height in m"]),
     (
         ["{image}", "--ground", "reported", "--camera-datum", "ellipsoid"],

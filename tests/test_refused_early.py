@@ -183,7 +183,7 @@ STATEMENTS = (
     (MAP.replace("errors", "None").format(""), "errors"),
     (MAP.replace("a.tif", "a.png").format(""), "name a file that ends in .tif"),
     (MAP.replace("a.tif", "nowhere/a.tif").format(""), "there is no folder"),
-    (MAP_OF_LEVEL, "has no spacing; name the size of a cell"),
+    (MAP_OF_LEVEL, "no spacing; give the size of a cell"),
     (ORTHO.format("interpolation='cubic'"), "interpolation"),
     (ORTHO.format("hiden_tolerance=1.0"), "hiden_tolerance"),
     (ORTHO.format("bands=[4]"), "there is no band 4"),

@@ -88,6 +88,21 @@ def opened(browser, path: pathlib.Path, size: tuple[int, int]) -> Iterator:
     assert complaints == []
 
 
+def test_a_dark_screen_gets_a_dark_page_and_light_comes_back(browser, page_file: pathlib.Path) -> None:
+    """Corners of charts have the colour of the page, and axis labels stand out from it."""
+    with opened(browser, page_file, SIZES["desk"]) as page:
+        for scheme, is_dark in (("light", False), ("dark", True), ("light", False)):
+            page.emulate_media(color_scheme=scheme)
+            page.wait_for_timeout(500)
+            around = page.evaluate("getComputedStyle(document.body).backgroundColor")
+            paper = np.array([int(number) for number in around.removeprefix("rgb(").removesuffix(")").split(",")])
+            assert (paper.mean() < 60) == is_dark
+            seen = picture(page, "#chart-map")
+            np.testing.assert_allclose(seen[-3, 3], paper, atol=2)
+            labels = seen[-60:, 60:].reshape(-1, 3).mean(axis=1)  # below the map
+            assert (labels.max() > 150) if is_dark else (labels.min() < 100)
+
+
 def picture(page, selector: str) -> np.ndarray:
     """What is seen of an element, (rows, cols, 3)."""
     page.locator(selector).scroll_into_view_if_needed()

@@ -42,7 +42,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--takeoff-height",
             metavar="HEIGHT",
-            help="Drone images, logs: height of the take-off point, m above the ellipsoid; replaces --camera-datum.",
+            help="Drone images, logs: height of the take-off point, m above the ellipsoid or --camera-datum, to which "
+            "the heights above it are added.",
         ),
     ] = None
     crs: Annotated[

@@ -77,7 +77,7 @@ EXAMPLES = {
         "jaxgeo scene DJI_0042.JPG --camera-datum ellipsoid -o scene.toml",
         "jaxgeo scene flight.klv --exposure 1 -o scene.toml",
     ),
-    "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),
+    "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml --write-dem dem.tif"),
     "doctor": ("jaxgeo doctor",),
     "li2020": ("jaxgeo study li2020 -o tables",),
     "li2023": ("jaxgeo study li2023 --samples 5000",),

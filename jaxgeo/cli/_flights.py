@@ -82,7 +82,11 @@ def flight_of(observed: Observations) -> Flight:
     sensor: Any = batch.sensor
     if not batch.is_one_camera:
         if any(np.any(np.asarray(leaf) != np.asarray(leaf)[:1]) for leaf in jax.tree.leaves(sensor)):
-            raise UserError(f"{observed.source}: its camera changes (another focal length); a flight has one.")
+            focal = float(np.ravel(np.asarray(batch.camera.focal_px))[0])
+            raise UserError(
+                f"{observed.source}: its camera changes (another focal length); a flight has one. Give it, such as the "
+                f"first: --camera focal={focal:.0f}px."
+            )
         sensor = jax.tree.map(lambda leaf: np.asarray(leaf)[0], sensor)
     times, rows = np.unique(np.asarray(batch.shots.time), return_index=True)
     if len(times) < 2 and not times.any():

@@ -10,7 +10,7 @@ import numpy as np
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import Look, as_datum, check_goes_with_dem, read_terrain
-from jaxgeo.cli._locate_options import GroundOptions
+from jaxgeo.cli._locate_options import NO_GROUND, GroundOptions
 from jaxgeo.terrain import ConstantHeight
 
 
@@ -19,7 +19,7 @@ def check_ground(ground: GroundOptions) -> None:
     if ground.dem and ground.level is not None:
         raise UserError("--dem and --ground exclude each other: give one of them.")
     if not ground.dem and ground.level is None:
-        raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
+        raise UserError(NO_GROUND)
     if ground.dem:
         return
     check_goes_with_dem(ground)

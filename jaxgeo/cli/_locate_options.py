@@ -80,6 +80,12 @@ class ObservationOptions(OptionGroup):
         return int(found[1]), int(found[2])
 
 
+NO_GROUND = (
+    "give the ground: --dem FILE, an elevation model; --dem copernicus, which is fetched from an open archive; or "
+    "--ground HEIGHT, level ground at a height in m."
+)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GroundOptions(DemOptions):
     """An elevation model, or level ground."""
@@ -211,8 +217,10 @@ class LocateOptions:
             if self.pixels:
                 raise UserError("give either --pixel COLUMN,ROW (repeatable) or --shots FILE.")
         self._check_detections()
-        if bool(ground.dem) == (ground.level is not None):
-            raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
+        if ground.dem and ground.level is not None:
+            raise UserError("--dem and --ground exclude each other: give one of them.")
+        if not ground.dem and ground.level is None:
+            raise UserError(NO_GROUND)
         if not ground.dem:
             check_goes_with_dem(ground)
         if given.exposures and self.is_scene:

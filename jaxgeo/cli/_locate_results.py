@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from jaxgeo.cli._common import FAULT, NO_ANSWER
 from jaxgeo.cli._locate_inputs import LocateInputs
-from jaxgeo.cli._screen import bars_on_stderr, number_table, print_message, progress_bar, working
+from jaxgeo.cli._screen import NumberTable, bars_on_stderr, number_table, print_message, progress_bar, working
 from jaxgeo.fix import Fix
 from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import Accuracy
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.detected import DetectedOutlines
 
 WIDE = 120  # terminal width, characters, from which all columns are shown
+SPARED = ("incidence_surface_deg", "slant_range_m", "fix_height_msl_m", "accuracy_method")  # first, without room
 
 
 def locate_inputs(inputs: LocateInputs, probability: float) -> tuple[Fix, Accuracy | None]:
@@ -53,12 +53,12 @@ def outlines_of(inputs: LocateInputs) -> DetectedOutlines | None:
     from jaxgeo.io import locate_observations
     from jaxgeo.io.detected import outline_observations, outlines_on_ground
 
-    found = None if inputs.vertices is None else outline_observations(inputs.observed, inputs.vertices)
+    found = None if inputs.vertices is None else outline_observations(inputs.observed, inputs.vertices, inputs.grounds)
     if found is None:
         return None
-    observed, rows = found
+    observed, grounds, rows = found
     with working("locating outlines"):
-        return outlines_on_ground(locate_observations(observed, inputs.grounds), rows)
+        return outlines_on_ground(locate_observations(observed, grounds), rows)
 
 
 def fixes_as_computed(inputs: LocateInputs) -> Iterator[Fix]:
@@ -73,7 +73,7 @@ def fixes_as_computed(inputs: LocateInputs) -> Iterator[Fix]:
             progress.advance(task, len(fixes.status))
 
 
-def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width: int) -> Table:
+def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width: int) -> NumberTable:
     """Table of fixes for the terminal, with the columns that fit."""
     first, is_wide = rows[0], width >= WIDE
     columns: dict[str, tuple[str, str]] = {}
@@ -92,19 +92,31 @@ def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width
     if is_wide or probability is None:
         columns |= {"fix_height_msl_m": ("msl", ".2f"), "slant_range_m": ("range", ".1f")}
         columns |= {"incidence_surface_deg": ("inc.", ".1f")}
-    caption = "height, msl: m above WGS 84 and EGM96 mean sea level; range: slant range, m; inc.: incidence angle, deg"
     if probability is not None:
         percent = f"{100.0 * probability:.10g}"
         column = percent.replace(".", "_")
         columns |= {f"ce{column}_m": (f"CE{percent}", ".2f"), f"le{column}_m": (f"LE{percent}", ".2f")}
         columns |= {"accuracy_method": ("by", "")} if is_wide else {}
-        caption = (caption if is_wide else "height: m above WGS 84") + (
-            f"; CE{percent}: radius of the {percent} % horizontal circle; "
-            f"LE{percent}: {percent} % vertical half-interval (m)"
-        )
     columns["status"] = ("status", "")
     shown = [{name: _plain(row.get(name), spec) for name, (_, spec) in columns.items()} for row in rows]
-    return number_table(shown, columns, caption)
+    for name in SPARED:
+        if not number_table(shown, columns).fits(width):
+            columns.pop(name, None)
+    return number_table(shown, columns, _caption(columns, probability))
+
+
+def _caption(columns: Container[str], probability: float | None) -> str:
+    """Units and datums of the columns of a table of fixes."""
+    words = ["height: m above WGS 84"]
+    if "fix_height_msl_m" in columns:
+        words = ["height, msl: m above WGS 84 and EGM96 mean sea level"]
+    words += ["range: slant range, m"] if "slant_range_m" in columns else []
+    words += ["inc.: incidence angle, deg"] if "incidence_surface_deg" in columns else []
+    if probability is not None:
+        percent = f"{100.0 * probability:.10g}"
+        words += [f"CE{percent}: radius of the {percent} % horizontal circle"]
+        words += [f"LE{percent}: {percent} % vertical half-interval (m)"]
+    return "; ".join(words)
 
 
 def _plain(value: Any, spec: str) -> Any:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import contextvars
+import dataclasses
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
 from rich import box
+from rich.cells import cell_len
+from rich.console import Console as AnyConsole
+from rich.console import ConsoleOptions
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from jaxgeo.cli._console import Console
 
@@ -117,25 +123,78 @@ def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
     for name, (header, _) in columns.items():
         table.add_column(header, justify="left" if name == "status" else "right", no_wrap=name != "status")
     for row in rows:
-        cells = [("" if row[name] is None else format(_plain(row[name]), spec)) for name, (_, spec) in columns.items()]
+        cells = [
+            ("" if row[name] is None else _as_text(_plain(row[name]), spec)) for name, (_, spec) in columns.items()
+        ]
         table.add_row(*cells, style=None if row["status"] == "hit" else "yellow")
     return table
 
 
-def number_table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], caption: str = "") -> Table:
+@dataclasses.dataclass(frozen=True)
+class NumberTable:
+    """A table of rows that shows every number in full: columns for which a line has no room follow in further tables,
+    which repeat the first column if that is a name."""
+
+    rows: Sequence[dict[str, Any]]
+    columns: dict[str, tuple[str, str]]
+    caption: str
+
+    def fits(self, width: int) -> bool:
+        """Whether one table has room for all columns in lines of `width` characters."""
+        return len(self._fitting(width)) == 1
+
+    def __rich_console__(self, console: AnyConsole, options: ConsoleOptions) -> Iterator[Table | Text]:
+        parts = self._fitting(options.max_width)
+        for part in parts[:-1]:
+            yield self._table(part, "")
+        yield self._table(parts[-1], self.caption if len(parts) == 1 else "")
+        if self.caption and len(parts) > 1:
+            yield Text(self.caption, style="table.caption")
+
+    def _fitting(self, width: int) -> list[list[str]]:
+        """The columns of each table for lines of `width` characters; one that is too long for a line has it alone."""
+        names = list(self.columns)
+        key = names[:1] if not self.columns[names[0]][1] else []
+        needed = {name: max(cell_len(one) for one in self._cells(name)) + 2 for name in names}
+        parts: list[list[str]] = [[]]
+        for name in names:
+            if len(parts[-1]) > len(key) and 1 + sum(needed[one] for one in (*parts[-1], name)) > width:
+                parts.append([*key])
+            parts[-1].append(name)
+        return parts
+
+    def _cells(self, name: str) -> list[str]:
+        """The header and the cells of a column."""
+        header, spec = self.columns[name]
+        return [header, *(_as_text(row[name], spec) for row in self.rows)]
+
+    def _table(self, names: Sequence[str], caption: str) -> Table:
+        table = Table(caption=caption or None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
+        cells = {name: self._cells(name) for name in names}
+        for name, (header, *_) in cells.items():
+            is_text = not self.columns[name][1]
+            table.add_column(header, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
+        for number, row in enumerate(self.rows, 1):
+            is_hit = row.get("status", "hit") == "hit"
+            table.add_row(*(Text(cells[name][number]) for name in names), style=None if is_hit else "yellow")
+        return table
+
+
+def _as_text(value: Any, spec: str) -> str:
+    """A cell, without the sign of a zero; None is blank."""
+    if value is None:
+        return ""
+    return format(value, f"z{spec}" if spec.endswith("f") and isinstance(value, float | np.floating) else spec)
+
+
+def number_table(rows: Sequence[dict[str, Any]], columns: dict[str, tuple[str, str]], caption: str = "") -> NumberTable:
     """Table of rows: `columns` maps keys to (header, format); None is blank."""
-    table = Table(caption=caption or None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
-    for header, spec in columns.values():
-        table.add_column(header, justify="right" if spec else "left", no_wrap=True)
-    for row in rows:
-        cells = ["" if row[name] is None else format(row[name], spec) for name, (_, spec) in columns.items()]
-        table.add_row(*cells, style=None if row.get("status", "hit") == "hit" else "yellow")
-    return table
+    return NumberTable(rows, columns, caption)
 
 
 def _plain(value: Any) -> Any:
     """A CSV cell as a number, if it is one."""
     try:
         return float(value)
-    except ValueError:
+    except (TypeError, ValueError):
         return value

@@ -283,6 +283,7 @@ def _list(as_json: bool) -> dict[str, Any]:
     ]
     if not as_json:
         for row in rows:
-            said = f"{row['name']:<14} {row['title']}; heights above {row['datum']}. Licence: {row['licence']}"
+            said = f"{row['name']:<14} {row['title']}; heights above {row['datum']}"
             Console().print(said, highlight=False, markup=False, soft_wrap=True)
+            Console().print(f"{'':<15}licence: {row['licence']}", highlight=False, markup=False, soft_wrap=True)
     return {"archives": rows}

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxgeo._destination import destination, is_device
+from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
@@ -16,15 +16,25 @@ from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import fix_table, print_counts, print_message, working
 
+FIGURE = pathlib.Path("jaxgeo-demo.png")
 PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # written by matplotlib itself
 
 
 def demo_command(
     output: Annotated[
-        pathlib.Path,
-        typer.Option("--output", "-o", metavar="FILE", help="Figure file: .png, .pdf, .svg, ..."),
-    ] = pathlib.Path("jaxgeo-demo.png"),
-    write_scene: Annotated[pathlib.Path | None, typer.Option(metavar="FILE", help="Also write the scene file.")] = None,
+        pathlib.Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Figure file: .png, .pdf, .svg, ... (default: jaxgeo-demo.png)."
+        ),
+    ] = None,
+    write_scene: Annotated[
+        pathlib.Path | None,
+        typer.Option(metavar="FILE", help="Write the scene file; without --output, nothing else is done."),
+    ] = None,
+    write_dem: Annotated[
+        pathlib.Path | None,
+        typer.Option(metavar="FILE", help="Write the elevation model (.tif); without --output, nothing else is done."),
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -34,20 +44,25 @@ def demo_command(
     """
     inputs = given_options(locals())
     with report_errors(debug):
-        _demo(output, write_scene, inputs if as_json else None)
+        files = {"--write-scene": write_scene, "--write-dem": write_dem}
+        wanted = {option: path for option, path in files.items() if path is not None}
+        _check_files(wanted)
+        if output is None and wanted:
+            _write_files(wanted)
+            if as_json:
+                print_json("demo", {"inputs": inputs, "files": [f"{path}" for path in wanted.values()]})
+            return
+        _demo(output or FIGURE, wanted, inputs if as_json else None)
 
 
-def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
-    """Run the demo; with `inputs`, print the result as JSON."""
-    if write_scene is not None:
-        from jaxgeo import demo
-
-        _check_one_is_not_the_other(output, write_scene)
-        check_no_overwrite("--write-scene", write_scene, [demo.scene_file()])
+def _demo(output: pathlib.Path, wanted: dict[str, pathlib.Path], inputs: dict[str, Any] | None) -> None:
+    """Run the demo, and write the files of options; with `inputs`, print the result as JSON."""
+    for option, path in wanted.items():
+        if path.resolve() == output.resolve():
+            raise UserError(f"{option} {path}: the figure is written there; name another file.")
     with destination("--output", output, binary=True) as stream:
         picture_format = _picture_format(output)
-        if write_scene is not None:
-            _write_demo_scene(write_scene)
+        _write_files(wanted)
         rows, made, picture = _show_demo(inputs is None)
         if inputs is not None:
             print_json("demo", {"inputs": inputs, **_content(made, rows)})
@@ -58,11 +73,6 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[s
         Console().print(f"figure: {output}", highlight=False, soft_wrap=True)
 
 
-def _check_one_is_not_the_other(output: pathlib.Path, write_scene: pathlib.Path) -> None:
-    if write_scene.resolve() == output.resolve():
-        raise UserError(f"--write-scene {write_scene}: the figure is written there; name another file.")
-
-
 def _picture_format(output: pathlib.Path) -> str:
     if output.suffix.lower() in PICTURES:
         return output.suffix.lower().removeprefix(".")
@@ -71,11 +81,29 @@ def _picture_format(output: pathlib.Path) -> str:
     raise UserError(f"--output {output}: {name_says(output)}; use {', '.join(PICTURES)}.")
 
 
-def _write_demo_scene(path: pathlib.Path) -> None:
+def _sources() -> dict[str, pathlib.Path]:
+    """The files of the demo by the options that write them."""
     from jaxgeo import demo
 
-    with destination("--write-scene", path) as stream:
-        stream.write(demo.scene_file().read_text(encoding="utf-8"))
+    scene = demo.scene_file()
+    return {"--write-scene": scene, "--write-dem": scene.with_name("jacksboro.tif")}
+
+
+def _check_files(wanted: dict[str, pathlib.Path]) -> None:
+    """Raises `UserError` for two options that name one file, and for places that cannot be written or are inputs."""
+    places = [path.resolve() for path in wanted.values()]
+    if len(set(places)) < len(places):
+        raise UserError(f"--write-scene and --write-dem both name {next(iter(wanted.values()))}; name two files.")
+    for option, path in wanted.items():
+        check_no_overwrite(option, path, [*_sources().values()])
+        check_place(option, path)
+
+
+def _write_files(wanted: dict[str, pathlib.Path]) -> None:
+    """Write the files of the demo to the places of the options."""
+    for option, path in wanted.items():
+        with destination(option, path, binary=True) as stream:
+            stream.write(_sources()[option].read_bytes())
 
 
 def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any, Any]:

@@ -250,6 +250,8 @@ def _print_lines(found: list[Finding]) -> None:
 
 def _print_table(console: Console, found: list[Finding]) -> None:
     table = Table(box=None, show_header=False, pad_edge=False)
+    for overflow in ("ellipsis", "ellipsis", "fold"):
+        table.add_column(overflow=overflow)
     styles = {State.ok: "green", State.absent: "yellow", State.failed: "bold red"}
     for one in found:
         said = one.found + (f"\n-> {one.remedy}" if one.remedy else "")

@@ -25,6 +25,11 @@ from jaxgeo.cli._screen import number_table
 
 SHOWN = 5  # exposures printed
 TRACKS = (".gpx", ".kml")
+OFF = {
+    "range_off_m": "range off, m",
+    "axis_off_azimuth_mrad": "az. off, mrad",
+    "axis_off_elevation_mrad": "el. off, mrad",
+}  # columns that compare a line of sight with the reported frame centre
 
 
 def inspect_command(
@@ -195,7 +200,10 @@ def _show(
         console.print(_sensor_line(part), markup=False)
         words = [f"{name} {value:.4g}" for name, value in _errors(part).items()]
         console.print("  errors: " + ("; ".join(words) if words else "none"), markup=False)
-    console.print(number_table(rows[:SHOWN], _columns(rows)))
+    above = "as in the file" if unstated is not None else "m above WGS 84"
+    columns, caption = _columns(rows), f"height: {above}; angles: deg"
+    caption += "; off: frame centre as reported, less that of the line of sight" if "range_off_m" in columns else ""
+    console.print(number_table(rows[:SHOWN], columns, caption))
     if count > SHOWN:
         console.print(f"  ... and {count - SHOWN} more; --json and --output list all", markup=False)
     if unread:
@@ -222,13 +230,8 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     shown |= {"height_m": ("height, m", ".2f")}
     shown |= {f"{name}_deg": (name, ".2f") for name in ("heading", "pitch", "roll")}
     gimbal = [name for name in row if name.startswith("gimbal_")]
-    shown |= {name: (name.removeprefix("gimbal_").removesuffix("_deg"), ".2f") for name in gimbal}
-    beside = {
-        "range_off_m": "range m",
-        "axis_off_azimuth_mrad": "azimuth mrad",
-        "axis_off_elevation_mrad": "elevation mrad",
-    }
-    return shown | {name: (f"diff {title}", ".2f") for name, title in beside.items() if name in row and compared}
+    shown |= {name: (name.removesuffix("_deg").replace("_", " "), ".2f") for name in gimbal}
+    return shown | {name: (title, ".2f") for name, title in OFF.items() if name in row and compared}
 
 
 def _sensor_line(found: jaxgeo.io.Acquisition) -> str:

@@ -95,6 +95,8 @@ def _point(
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
     if len(place) == 2 and not dem:
         raise UserError(f"--target {target}: give its height, LAT,LON,HEIGHT, or --dem.")
+    if place and not (abs(place[0]) <= 90.0 and abs(place[1]) <= 360.0):
+        raise UserError(f"--target {target}: expected LAT,LON in deg, latitudes from -90 to 90; is it LON,LAT?")
     if target_datum is not None and len(place) != 3:
         raise UserError(f"--target-datum {target_datum} applies to a target height: --target LAT,LON,HEIGHT.")
     if target_datum is None and len(place) == 3 and not given.is_scene:

@@ -20,7 +20,6 @@ from jaxgeo._parallel import Work
 from jaxgeo.cluster.catalogue import (
     CELLS,
     KNOWN,
-    check_catalogue,
     compute_and_list,
     mosaic_file,
     write_catalogue,
@@ -90,8 +89,8 @@ def accuracy_map(
     - `how`: other options of `jaxgeo.uncertainty.accuracy_map`: `probability`, `sampling`, `time`, ...
 
     The tile of row i and column j is `tile-0000i-0000j.tif`, beside its STAC item (.json); all have the bands of
-    `write_accuracy_map`. `mosaic.vrt` is the whole map; `collection.json` and `items.json` list all items. Needs the
-    extra `cluster`.
+    `write_accuracy_map`. `mosaic.vrt` is the whole map; `collection.json` and `items.json` list all items. A Dask
+    client needs the extra `cluster`.
 
     Figures are those of `write_accuracy_map` except for rounding; a cell whose centre lies on the edge of two facets of
     the terrain, as many do at its own spacing, may take the slope of either.
@@ -102,7 +101,6 @@ def accuracy_map(
     `write_accuracy_map`.
     """
     require_x64()
-    check_catalogue()
     check_is(sensor, Sensor, "sensor")
     if isinstance(tile, bool) or not isinstance(tile, int | np.integer) or tile < 1:
         raise ValueError(f"tile must be a whole number of cells, 1 or more; got {tile!r}.")

@@ -27,17 +27,9 @@ EXTENSIONS = (
     "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
     "https://stac-extensions.github.io/raster/v1.1.0/schema.json",
 )
+STAC_VERSION = "1.1.0"
 COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 TIFF = "image/tiff; application=geotiff"
-
-
-def check_catalogue() -> Any:
-    """The library for STAC. Raises `ImportError` without the extra."""
-    try:
-        import pystac
-    except ImportError:
-        raise ImportError("catalogues of maps need the library pystac: pip install 'jaxgeo[cluster]'") from None
-    return pystac
 
 
 def write_item(
@@ -53,26 +45,44 @@ def write_item(
 
     Without a raster the item has no place. The file appears only when complete.
     """
-    pystac = check_catalogue()
     geometry, box, own = None, None, {}
     if raster is not None:
         geometry, box = outline_of(f"{path}", raster)
         code = raster.crs.to_epsg()
         own = {"proj:epsg": code} if code else {"proj:epsg": None, "proj:wkt2": raster.crs.to_wkt()}
         own |= {"proj:shape": list(raster.shape), "proj:transform": [*map(float, raster.transform[:6]), 0.0, 0.0, 1.0]}
-    span = {} if taken is not None else {"start_datetime": EARLIEST, "end_datetime": LATEST}
-    extensions = list(EXTENSIONS) if raster is not None else []
-    item = pystac.Item(path.stem, geometry, box, taken, {**own, **properties}, stac_extensions=extensions, **span)
-    for key, (file, bands) in assets.items():
-        each = [_band(bands, number) for number in range(bands.count)]
-        extra = {"raster:bands": each}
-        item.add_asset(
-            key, pystac.Asset(f"./{file}", media_type=COG if cog else TIFF, roles=["data"], extra_fields=extra)
-        )
-    item.collection_id = path.parent.name
-    for relation in ("root", "parent", "collection"):
-        item.add_link(pystac.Link(relation, f"./{COLLECTION}", "application/json"))
-    write_json(path, item.to_dict(include_self_link=False, transform_hrefs=False))
+    span = {} if taken is not None else {"start_datetime": _as_time(EARLIEST), "end_datetime": _as_time(LATEST)}
+    when = {**span, "datetime": None if taken is None else _as_time(taken)}
+    files = {
+        key: {
+            "href": f"./{file}",
+            "type": COG if cog else TIFF,
+            "raster:bands": [_band(bands, number) for number in range(bands.count)],
+            "roles": ["data"],
+        }
+        for key, (file, bands) in assets.items()
+    }
+    item = {
+        "type": "Feature",
+        "stac_version": STAC_VERSION,
+        "stac_extensions": list(EXTENSIONS) if raster is not None else [],
+        "id": path.stem,
+        "geometry": geometry,
+        **({} if box is None else {"bbox": list(box)}),
+        "properties": {**own, **properties, **when},
+        "links": [_link(relation, COLLECTION, "application/json") for relation in ("root", "parent", "collection")],
+        "assets": files,
+        "collection": path.parent.name,
+    }
+    write_json(path, item)
+
+
+def _as_time(when: datetime) -> str:
+    return when.astimezone(UTC).isoformat().replace("+00:00", "Z")
+
+
+def _link(relation: str, name: str, kind: str) -> dict[str, str]:
+    return {"rel": relation, "href": f"./{name}", "type": kind}
 
 
 def _band(bands: Bands, number: int) -> dict[str, Any]:
@@ -115,20 +125,24 @@ def compute_and_list(
 
 def write_catalogue(folder: pathlib.Path, items: Sequence[str], description: str) -> list[Any]:
     """Write the collection of all items, by file name, and all of them as one feature collection; returns them."""
-    pystac = check_catalogue()
     each = [read_json(folder / name) for name in items]
     boxes = [one["bbox"] for one in each if one.get("bbox")]
-    times = sorted(_times(each))
-    extent = pystac.Extent(
-        pystac.SpatialExtent([_around(boxes)]),
-        pystac.TemporalExtent([[times[0], times[-1]] if times else [EARLIEST, LATEST]]),
-    )
-    collection = pystac.Collection(folder.name, description, extent)
-    collection.add_link(pystac.Link("root", f"./{COLLECTION}", "application/json"))
-    for name in items:
-        collection.add_link(pystac.Link("item", f"./{name}", "application/geo+json"))
+    times = sorted(_times(each)) or [EARLIEST, LATEST]
+    links = [_link("root", COLLECTION, "application/json")]
+    collection = {
+        "type": "Collection",
+        "id": folder.name,
+        "stac_version": STAC_VERSION,
+        "description": description,
+        "links": links + [_link("item", name, "application/geo+json") for name in items],
+        "extent": {
+            "spatial": {"bbox": [_around(boxes)]},
+            "temporal": {"interval": [[_as_time(times[0]), _as_time(times[-1])]]},
+        },
+        "license": "other",
+    }
     write_json(folder / ITEMS, {"type": "FeatureCollection", "features": each})
-    write_json(folder / COLLECTION, collection.to_dict(include_self_link=False, transform_hrefs=False))
+    write_json(folder / COLLECTION, collection)
     return each
 
 

@@ -17,7 +17,6 @@ from jaxgeo._parallel import Work
 from jaxgeo.cluster.catalogue import (
     CELLS,
     STATUS,
-    check_catalogue,
     compute_and_list,
     mosaic_file,
     read_json,
@@ -102,7 +101,7 @@ def rectify_frames(
     Frame n has `frame-0000n.tif` and the STAC item `frame-0000n.json`. A frame without an orthophoto, because its image
     cannot be read or shows no ground, has an item with the reason in `jaxgeo:reason` and no file. `collection.json` and
     `items.json` (a feature collection) list all items. `mosaic.vrt` shows all frames, later ones over earlier;
-    frames with other bands than the first are in `mosaic-2.vrt` and so on. Needs the extra `cluster`.
+    frames with other bands than the first are in `mosaic-2.vrt` and so on. A Dask client needs the extra `cluster`.
 
     Workers write into `folder`, which all must see, as the images. A later call with the same arguments computes only
     frames that are missing, or whose image has changed or appeared. `Run.counts` counts frames: `hit` with an
@@ -113,7 +112,6 @@ def rectify_frames(
     folder that holds something else.
     """
     require_x64()
-    check_catalogue()
     check_is(interpolation, AbstractInterpolation, "interpolation")
     ground = _checked_ground(observed, terrain)
     files = images_of(images, observed)

@@ -16,8 +16,20 @@ from shapely.geometry.base import BaseGeometry
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
 COLOURS = {"fix": "ff00c8ff", "uncertain": "ff0080ff", "lost": "ff8080ff", "area": "4d00c8ff"}  # aabbggrr
-BALLOON = ("time_utc", "u", "v", "label", "score", "fix_height_m", "fix_height_msl_m", "status_text", "accuracy_text")
-RADIUS = re.compile(r"(ce|le|se)[0-9_]+_m")  # shown in balloons too
+BALLOON = {
+    "time_utc": ("time", ""),
+    "u": ("column", "g"),
+    "v": ("row", "g"),
+    "label": ("label", ""),
+    "score": ("score", ""),
+    "fix_lat_deg": ("latitude, deg", "z.7f"),
+    "fix_lon_deg": ("longitude, deg", "z.7f"),
+    "fix_height_m": ("height above WGS 84, m", "z.2f"),
+    "fix_height_msl_m": ("height above mean sea level (EGM96), m", "z.2f"),
+    "status_text": ("status", ""),
+    "accuracy_text": ("accuracy", ""),
+}  # columns shown in balloons: name there, and format
+RADIUS = re.compile(r"(ce|le|se)([0-9_]+)_m")  # shown in balloons too: "CE90, m"
 TYPES = {bool: "bool", int: "int", float: "double", str: "string"}
 NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -72,8 +84,10 @@ def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
     element = ET.SubElement(folder, "Placemark")
     _text(element, "name", mark.name)
     known = {name: _shown(value) for name, value in mark.columns.items() if value is not None}
-    shown = {name: value for name, value in known.items() if name in BALLOON or RADIUS.fullmatch(name)} or known
-    cells = ((html.escape(name, quote=False), html.escape(value, quote=False)) for name, value in shown.items())
+    shown = dict(_told(name, value) for name, value in mark.columns.items() if value is not None and _is_told(name))
+    cells = (
+        (html.escape(name, quote=False), html.escape(value, quote=False)) for name, value in (shown or known).items()
+    )
     rows = (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in cells)
     _text(element, "description", f"<table>{''.join(rows)}</table>")
     if mark.when is not None:
@@ -91,6 +105,21 @@ def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
         point = ET.SubElement(element, "Point")
         _text(point, "altitudeMode", "absolute")
         _text(point, "coordinates", _coordinates([mark.place]))
+
+
+def _is_told(name: str) -> bool:
+    """Whether balloons show a column."""
+    return name in BALLOON or RADIUS.fullmatch(name) is not None
+
+
+def _told(name: str, value: Any) -> tuple[str, str]:
+    """Name and text of a column in a balloon."""
+    radius = RADIUS.fullmatch(name)
+    title, spec = BALLOON.get(name, ("", "z.2f"))
+    if radius is not None:
+        title = f"{radius[1].upper()}{radius[2].replace('_', '.')}, m"
+    is_number = isinstance(value, float) and math.isfinite(value)
+    return title, format(value, spec) if spec and is_number else _shown(value)
 
 
 def _polygon(parent: ET.Element, area: Any) -> None:

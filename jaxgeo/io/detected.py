@@ -15,10 +15,12 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.acquisitions import Unread
 from jaxgeo.io.detections import Detection
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.located import Terrain, batches_with_terrain, terrain_at
 from jaxgeo.io.observations import ObservationBatch, Observations, frame_camera_of
 from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.observation import Observation
 from jaxgeo.status import Status, have_fix
+from jaxgeo.terrain import AbstractTerrain
 
 ANCHORS = ("centre", "bottom")
 PIECES = 32  # of an outline, at least: edges are straight in the image, and follow the ground in these pieces
@@ -108,25 +110,29 @@ def observations_of_detections(
 
 
 def outline_observations(
-    observed: Observations, vertices: Sequence[np.ndarray]
-) -> tuple[Observations, list[np.ndarray]] | None:
-    """(a row for each point of all outlines, for each detection its rows); None if all detections are points."""
+    observed: Observations, vertices: Sequence[np.ndarray], terrain: Terrain
+) -> tuple[Observations, list[AbstractTerrain], list[np.ndarray]] | None:
+    """(a row for each point of all outlines, the terrain of each of their batches, for each detection its rows).
+
+    `terrain` is that of the detections, as for `locate_observations`. None if all detections are points.
+    """
     dense = [_dense(corners) if len(corners) > 2 else np.zeros((0, 2)) for corners in vertices]
     counts = np.array([len(one) for one in dense])
     if not counts.sum():
         return None
     ends = np.cumsum(counts)
     own = [np.arange(end - count, end) for end, count in zip(ends.tolist(), counts.tolist(), strict=True)]
-    batches = []
-    for batch in observed.batches:
+    batches, grounds = [], []
+    for batch, ground in batches_with_terrain(observed, terrain):
         index = np.repeat(np.arange(len(batch)), counts[batch.rows])
         if not len(index):
             continue
         rows = np.concatenate([own[row] for row in batch.rows.tolist()])
         uv = np.concatenate([dense[row] for row in batch.rows.tolist()])
         batches.append(_batch(batch, np.stack([rows, index], axis=-1), uv))
+        grounds.append(terrain_at(ground, index))
     columns: list[dict[str, Any]] = [{} for _ in range(int(ends[-1]))]
-    return dataclasses.replace(observed, batches=tuple(batches), columns=columns, unread={}), own
+    return dataclasses.replace(observed, batches=tuple(batches), columns=columns, unread={}), grounds, own
 
 
 def outlines_on_ground(fixes: Fix, rows: Sequence[np.ndarray]) -> DetectedOutlines:

@@ -35,6 +35,7 @@ PIXELS: Limits = (-1e6, 1e6, "pixels")
 BOX = ("u_min", "v_min", "u_max", "v_max")
 SAME_SHAPE = 0.01  # relative difference of the ratios of sides, from rounding when an image is resized
 CLASSES = "classes.txt"
+HINTS = {"image": "Each row names its image, and has u, v or u_min, v_min, u_max, v_max, in pixels."}
 IMAGE = ("image", "file_name", "filename")  # properties that name the image
 
 
@@ -126,7 +127,7 @@ def _box(corners: Sequence[float]) -> np.ndarray:
 
 
 def _table(path: pathlib.Path, back: float) -> list[Detection]:
-    table = read_csv(path, "table of detections", ("image",), known=("u", "v", *BOX))
+    table = read_csv(path, "table of detections", ("image",), known=("u", "v", *BOX), hints=HINTS)
     has_box, has_point = (all(name in table.header for name in names) for names in (BOX, ("u", "v")))
     if not has_box and not has_point:
         raise TableError(

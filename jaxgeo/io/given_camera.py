@@ -17,6 +17,10 @@ FORMS = (
     'the sensor), camera="focal=3666px" (focal length in pixels of the image), or camera="camera.toml" (a scene file, '
     "or its table [camera] alone)"
 )
+OWN_CAMERA = (
+    'camera="focal=8.8mm,pitch=2.41um,size=5472x3648"; of a focal length for 35 mm film, '
+    'camera="focal=24mm,sensor=36mm,size=3840x2160"'
+)  # for files that know no camera
 UNITS = {"focal": ("mm", "px"), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
 AS_GIVEN = "The camera is taken as given, without error unless sigmas of its interior orientation are given too."
 AS_READ = "Cameras are taken from the file, without error unless sigmas of the interior orientation are given too."

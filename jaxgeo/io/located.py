@@ -41,7 +41,7 @@ def locate_observations(
     `progress` is called with the number of pixels done and their total.
     """
     total, done, each = sum(map(len, observed.batches)), 0, []
-    for batch, ground in _pairs(observed, terrain):
+    for batch, ground in batches_with_terrain(observed, terrain):
         parts = []
         for fixes in fixes_in_parts(batch, ground):
             parts.append(fixes)
@@ -70,7 +70,7 @@ def accuracy_of_observations(
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
     has_fix = have_fix(fixes.status)
     sampling, found, rows = Sampling(count=count, progress=progress), [], []
-    for batch, ground in _pairs(observed, terrain):
+    for batch, ground in batches_with_terrain(observed, terrain):
         index = np.flatnonzero(has_fix[batch.rows])
         if not len(index):
             continue
@@ -88,7 +88,7 @@ def located_with_accuracy(
     rows than one on an image. The accuracy is None without a fix."""
     if len(observed) != 1 or len(observed.batches) != 1 or not observed.batches[0].is_on_image.all():
         return None
-    ((batch, ground),) = _pairs(observed, terrain)
+    ((batch, ground),) = batches_with_terrain(observed, terrain)
     found = _accuracy_of(batch, ground, np.arange(1), probability, Sampling(count=SAMPLES))
     fix = jax.tree.map(np.asarray, found.fix)
     return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if have_fix(fix.status).all() else None
@@ -144,7 +144,10 @@ def _leaves(tree: Any) -> list[Any]:
     return jax.tree.leaves(tree, is_leaf=lambda leaf: leaf is None)
 
 
-def _pairs(observed: Observations, terrain: Terrain) -> Iterator[tuple[ObservationBatch, AbstractTerrain]]:
+def batches_with_terrain(
+    observed: Observations, terrain: Terrain
+) -> Iterator[tuple[ObservationBatch, AbstractTerrain]]:
+    """The batches of observations, each with its terrain."""
     each = [terrain] * len(observed.batches) if isinstance(terrain, AbstractTerrain) else terrain
     yield from zip(observed.batches, each, strict=True)
 

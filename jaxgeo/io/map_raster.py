@@ -173,7 +173,7 @@ def terrain_spacing(name: str, terrain: Any) -> Spacing:
     """The terrain's own post spacing."""
     if not isinstance(terrain, Dem | DemFiles):
         raise ValueError(
-            f"{name}: a {type(terrain).__name__} has no spacing; name the size of a cell with resolution=."
+            f"{name}: a {type(terrain).__name__} has no spacing; give the size of a cell, resolution=..., in m."
         )
     grid = terrain.grid if isinstance(terrain, Dem) else terrain.middle_grid
     return Spacing(float(np.sqrt(np.prod(np.asarray(grid.cell_size())))), "terrain's spacing", MOST_CELLS)

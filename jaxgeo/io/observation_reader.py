@@ -22,7 +22,7 @@ from jaxgeo.io.acquisitions.sentences import merged_sentences
 from jaxgeo.io.acquisitions.several import files_of, shard_of
 from jaxgeo.io.acquisitions.usual_errors import usual_errors_of
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
-from jaxgeo.io.given_camera import AS_GIVEN
+from jaxgeo.io.given_camera import AS_GIVEN, OWN_CAMERA
 from jaxgeo.io.observations import ObservationBatch, Observations, Row, _items, frame_camera_of
 from jaxgeo.io.scene import Scene, SceneError, read_scene
 from jaxgeo.io.tables import GIMBAL_REFERENCE, ShotTable, read_shots
@@ -377,7 +377,7 @@ def _without_bare(found: AcquisitionSet, files: Sequence[pathlib.Path]) -> Acqui
         if part.sensor is not None:
             kept.append((part, places))
             continue
-        lens = ', or camera="focal=8.8mm,pitch=2.41um,size=5472x3648"'
+        lens = f", or {OWN_CAMERA}"
         ways = lens if any(not file.is_dir() and "cameras" in form_of(file).takes for file in files) else ""
         try:  # raised, so that `is_refusal` recognises it
             raise TableError(f'{part.path}: a {part.form} has no camera; give scene="SCENE.toml"{ways}.')

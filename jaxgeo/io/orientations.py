@@ -194,11 +194,10 @@ def which_map(columns: Columns) -> str:
     """Message that the CRS of a table is unstated, with an example that fits its numbers."""
     called = [columns.called[key] for key in ("x_m", "y_m") if key in columns]
     cells = [columns.table.numbers(one, (-1e12, 1e12, "m"), unknown_too=True) for one in called]
-    what, example = "projected", "EPSG:32616"
+    reason = f"{columns.table.path}: {called[0]} is {{}}, and the file states no CRS: pass "
     if len(cells) == 2 and _in_degrees(*cells):
-        what, example = "in deg", "EPSG:4326"
-    reason = f"{columns.table.path}: {called[0]} is {what}, and the file states no CRS: pass "
-    return f'{reason}crs="{example}".'
+        return f'{reason.format("in deg")}crs="EPSG:4326".'
+    return f'{reason.format("projected")}that of its map, such as crs="EPSG:32616" for UTM zone 16 north.'
 
 
 def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:
@@ -229,7 +228,8 @@ def _poses(
     if not is_map:
         return Pose(position, heading, pitch, roll), []
     low, high = np.rad2deg(np.min(convergence)), np.rad2deg(np.max(convergence))
-    notes = [f"Headings are taken from the map's grid north, {low:.2f} to {high:.2f} deg clockwise of true north here."]
+    span = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
+    notes = [f"Headings are taken from the map's grid north, {span} deg clockwise of true north here."]
     return Pose(position, heading + convergence, pitch, roll), notes
 
 

@@ -60,7 +60,7 @@ def metres(value: float | None, places: int = 2) -> str:
 
 def number(value: Any, places: int = 1) -> str:
     """A number with fixed decimals, or a dash."""
-    return UNKNOWN if value is None or math.isnan(value) else f"{value:.{places}f}"
+    return UNKNOWN if value is None or math.isnan(value) else f"{value:z.{places}f}"
 
 
 def count(value: int) -> str:

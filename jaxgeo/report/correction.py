@@ -144,7 +144,7 @@ def _table(found: Correction) -> dict[str, Any]:
     headers = ["image"]
     for axis in AXES:
         headers += [f"{axis}, m", "sigma before", "after"]
-    headers += ["turned, deg", "sigma before", "after", "in sigmas", "points", "px"]
+    headers += ["turned, deg", "sigma before", "after", "sigmas", "points", "px"]
     lost = found.unconnected[:MOST]
     return {"headers": headers, "rows": rows, "lost": lost, "left_out": max(len(found.names) - MOST, 0)}
 

@@ -35,6 +35,7 @@ from jaxgeo.report.table import table_of
 from jaxgeo.terrain import Dem
 
 CLOSE = 6.0  # half side of the close-up of a fix, times the major semi-axis
+NAMED = {"height_datum": "camera datum", "vertical_datum": "DEM datum", "level": "ground, m"}  # inputs, as options
 ROOM = 2.5  # half side of the close-up, at least, times the reach of the region of samples
 LEAST_CLOSE = 60.0  # m, least half side of the close-up
 CLOSE_ACROSS = 600  # pixels of the close-up image
@@ -264,7 +265,7 @@ def created(header: ReportHeader) -> str:
 
 def plain_inputs(inputs: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Names and values as text."""
-    return [(str(name).replace("_", " "), _in_words(value)) for name, value in inputs.items()]
+    return [(NAMED.get(name, str(name).replace("_", " ")), _in_words(value)) for name, value in inputs.items()]
 
 
 def _in_words(value: Any) -> str:

@@ -37,7 +37,10 @@ class Moments(NamedTuple):
     failed: Int[Array, ""]
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
-        """Radius in m about the nominal fix in the horizontal plane."""
+        """Radius in m about the nominal fix in the horizontal plane.
+
+        Raises `ValueError` for a probability outside (0, 1 - 1e-10] (90 % is 0.9), as the next two.
+        """
         return circular_radius(self.cov_enu, probability, self.mean_enu)
 
     def linear_error(self, probability: ArrayLike) -> Scalar:

@@ -64,13 +64,13 @@ def validate(
     Raises `ValueError` for fewer than 3 pixels with a fix, measuring errors of the pixels that are stated twice or
     not at all, a distribution without a finite variance, and as `propagate`.
     """
+    needed = f"validate needs {LEAST} or more pixels with a fix, for a statistic to mean anything; "
+    if len(points) < LEAST:
+        raise ValueError(f"{needed}there are only {len(points)} pixels.")
     found = errors_at(points, terrain, errors, search)
     count = len(found.index)
     if count < LEAST:
-        raise ValueError(
-            f"validate needs {LEAST} or more pixels with a fix, for a statistic to mean anything; {count} of "
-            f"{len(points)} have one."
-        )
+        raise ValueError(f"{needed}{count} of {len(points)} have one.")
     return _compared(found)
 
 

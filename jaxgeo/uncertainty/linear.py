@@ -22,6 +22,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep, Tangents, sweep_of
 from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
@@ -51,6 +52,23 @@ class Propagation(Record):
     nominal: NominalFix
     model: ErrorModel
 
+    def __str__(self) -> str:
+        """CE90, LE90 and SE90 of one fix, or counts and quantiles of many; fields if they are traced."""
+        if not is_known(self):
+            return repr(self)
+        radii = {
+            "CE90": self.circular_error(0.9), "LE90": self.linear_error(0.9), "SE90": self.spherical_error(0.9),
+        }  # fmt: skip
+        if np.ndim(self.fix.status) == 0:
+            told = ", ".join(f"{name} {figure(radius, 4)} m" for name, radius in radii.items())
+            return f"{told}, by linear propagation; {self.fix}"
+        known = np.asarray(radii["CE90"])
+        known = known[np.isfinite(known)]
+        if not known.size:
+            return f"{self.fix}"
+        low, high = (float(np.quantile(known, share, method="higher")) for share in (0.5, 0.9))
+        return f"{self.fix}. CE90 up to {figure(low)} m in half of them, {figure(high)} m in nine tenths."
+
     @property
     def aim(self) -> NominalFix:
         """Deprecated: `nominal`."""
@@ -69,7 +87,10 @@ class Propagation(Record):
         return R @ self.cov_enu @ R.T
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
-        """Radius in m of the horizontal circle about the fix that contains the true point with `probability`."""
+        """Radius in m of the horizontal circle about the fix that contains the true point with `probability`.
+
+        Raises `ValueError` for a probability outside (0, 1 - 1e-10] (90 % is 0.9), as the next two.
+        """
         return circular_radius(self.cov_enu, probability, self.bias_enu)
 
     def linear_error(self, probability: ArrayLike) -> Scalar:

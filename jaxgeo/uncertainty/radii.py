@@ -14,6 +14,7 @@ from jaxgeo._typing import Numbers
 from jaxgeo.uncertainty.host_arrays import blocks_of
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics._host import MOST, host_radii
+from jaxgeo.uncertainty.metrics.exact import level_of
 
 AT_ONCE, AT_ONCE_ACCELERATOR = 128, 1024  # radii of one call of a program
 
@@ -27,9 +28,13 @@ _OF_MANY = {
 
 
 def circular_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numbers:
-    """`circular_error` of a covariance (..., 3, 3) and a bias (..., 3); NaN if they are invalid."""
+    """`circular_error` of a covariance (..., 3, 3) and a bias (..., 3); NaN if they are invalid.
+
+    Raises `ValueError` for a probability outside (0, 1 - 1e-10], as the next two.
+    """
     cov, bias = _at_hand(cov_enu, bias_enu)
     cov, bias = cov[..., :2, :2], bias[..., :2]
+    level_of(probability)
     found = host_radii(cov, probability, bias)
     return _circular_error(cov, probability, bias) if found is None else jax.device_put(found)
 
@@ -37,12 +42,14 @@ def circular_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numb
 def linear_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numbers:
     """`linear_error` of the third component of a covariance (..., 3, 3) and a bias (..., 3); NaN if invalid."""
     cov, bias = _at_hand(cov_enu, bias_enu)
+    level_of(probability)
     found = host_radii(cov[..., 2:, 2:], probability, bias[..., 2:])
     return _linear_error(cov[..., 2, 2], probability, bias[..., 2]) if found is None else jax.device_put(found)
 
 
 def spherical_radius(cov_enu: Any, probability: ArrayLike, bias_enu: Any) -> Numbers:
     """`spherical_error` of a covariance (..., 3, 3) and a bias (..., 3); NaN if they are invalid."""
+    level_of(probability)
     found = host_radii(cov_enu, probability, bias_enu)
     return _spherical_error(cov_enu, probability, bias_enu) if found is None else jax.device_put(found)
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxgeo._record import Record, portable
 from jaxgeo.fix import Fix
 from jaxgeo.status import Status
+from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.histogram import RadiusHistogram
 from jaxgeo.uncertainty.intervals import (
     Interval,
@@ -84,17 +85,26 @@ class Sampled(Record):
     runs: tuple[SampleRun, ...] = ()
     origin: Origin | None = eqx.field(static=True, default=None)
 
+    def __str__(self) -> str:
+        """CE90, LE90 and SE90 with their confidence intervals, those of them that were asked for."""
+        told = []
+        for name in self.figures:
+            value, low, high = self.interval(name, 0.9)
+            told.append(f"{name}90 {figure(value, 4)} m ({figure(low, 4)} to {figure(high, 4)})")
+        share = "all with a fix" if self.found == self.count else f"{self.found} of them with a fix"
+        return f"{', '.join(told)}{', by ' if told else ''}{self.count} samples, {share}; {self.fix}"
+
     def circular_error(self, probability: float) -> Quantile:
         """Radius of the horizontal circle about the centre that contains this share of the samples."""
-        return self._checked_quantile("CE", probability)
+        return self.quantile("CE", probability)
 
     def linear_error(self, probability: float) -> Quantile:
         """Half-height of the vertical interval about the centre that contains this share of the samples."""
-        return self._checked_quantile("LE", probability)
+        return self.quantile("LE", probability)
 
     def spherical_error(self, probability: float) -> Quantile:
         """Radius of the sphere about the centre that contains this share of the samples."""
-        return self._checked_quantile("SE", probability)
+        return self.quantile("SE", probability)
 
     def share_within(self, figure: str, radius: float) -> Share:
         """Share of the samples, of all drawn, within a `radius` in m of one of the figures "CE", "LE" and "SE".
@@ -223,19 +233,21 @@ class Sampled(Record):
 
         return regions.probability_within(self, polygon)
 
-    def _checked_quantile(self, figure: str, probability: float) -> Quantile:
-        if not 0.0 < probability < 1.0:
-            raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
-        self._check_figure(figure)
-        return self.quantile(figure, probability)
-
     def _check_figure(self, figure: str) -> None:
         if figure not in self.figures:
             kept = ", ".join(self.figures) or "none"
             raise ValueError(f"{figure} was not asked for; figures: {kept}. Sample again with it.")
 
     def quantile(self, figure: str, probability: float) -> Quantile:
-        """One of the figures "CE", "LE" and "SE", for arguments that are known to be valid."""
+        """One of the figures "CE", "LE" and "SE" at a probability.
+
+        Raises `ValueError` for a figure that was not asked for, or a probability outside (0, 1).
+        """
+        if not 0.0 < probability < 1.0:
+            raise ValueError(
+                f"probability must lie between 0 and 1, both excluded; got {probability!r}. Write 90 % as 0.9."
+            )
+        self._check_figure(figure)
         value, low, high = self.interval(figure, probability)
         conditional = value if self.found == self.count else self._quantile_of_found(figure, probability)
         return Quantile(float(value), float(low), float(high), float(conditional), self.found / self.count)

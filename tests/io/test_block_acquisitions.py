@@ -109,7 +109,7 @@ def test_a_reconstruction_says_what_it_does_not_say(file) -> None:
     found = acquisition_of_opensfm(file(content), height_datum=3.0)
     assert not np.any(found.shots.time)
     assert any("their time is 0" in sentence for sentence in found.assumed)
-    assert any("3 m above the ellipsoid, as the caller says" in sentence for sentence in found.assumed)
+    assert any("3 m above the ellipsoid, as given" in sentence for sentence in found.assumed)
 
 
 def test_images_of_one_record_are_of_one_size(file) -> None:

@@ -248,8 +248,8 @@ def test_outlines_are_what_their_edges_see(observed) -> None:
     ]
     found, vertices = observations_of_detections(observed.rows, given)
     ground = jaxgeo.ConstantHeight(300.0)
-    outlines, rows = outline_observations(found, vertices)
-    shapes = outlines_on_ground(locate_observations(outlines, ground), rows)
+    outlines, grounds, rows = outline_observations(found, vertices, ground)
+    shapes = outlines_on_ground(locate_observations(outlines, grounds), rows)
     assert shapes.statuses[0] is None
     assert shapes.statuses[1] == shapes.statuses[3] == "hit"
     assert shapes.statuses[2] not in (None, "hit")  # beside the image
@@ -265,6 +265,24 @@ def test_outlines_are_what_their_edges_see(observed) -> None:
             lat, lon, _ = jaxgeo.locate(sensor, shot, corner, ground).position.to_degrees()
             apart = np.hypot((ring[:, 0] - float(lon)) * 90_000.0, (ring[:, 1] - float(lat)) * 111_000.0)
             assert apart.min() < 1e-3
+
+
+@pytest.mark.costly
+def test_outlines_lie_on_the_ground_of_their_detection(observed) -> None:
+    """Level ground with a height for each detection, as telemetry reports it."""
+    given = [
+        Detection("a.jpg", "point", np.array([[100.0, 200.0]]), {}),
+        Detection("a.jpg", "box", BOX, {}),
+        Detection("a.jpg", "box", BOX, {}),
+    ]
+    found, vertices = observations_of_detections(observed.rows, given)
+    (batch,) = found.batches
+    heights = np.array([200.0, 250.0, 350.0])
+    ground = jaxgeo.ConstantHeight(heights[batch.rows])
+    outlines, grounds, rows = outline_observations(found, vertices, [ground])
+    shapes = outlines_on_ground(locate_observations(outlines, grounds), rows)
+    for number in (1, 2):
+        np.testing.assert_allclose(shapes.rings[number][:, 2], heights[number], atol=1e-6)
 
 
 def test_images_of_one_name_are_told_apart_by_their_folders(observed, tmp_path: pathlib.Path) -> None:

@@ -310,8 +310,9 @@ def test_heights_are_not_guessed(image) -> None:
     told = "Heights are drone-dji:RelativeAltitude above a take-off at 1560 m"
     assert any(told in line for line in found.assumed)
     assert [one.label for one in found.sources] == ["interior orientation"]  # RTK's are not those of a barometer
-    with pytest.raises(TableError, match=r"height_datum= and takeoff_height= both say"):
-        read(path, takeoff_height=1560.0)
+    for datum, shift in (("ellipsoid", 0.0), (40.25, 40.25)):  # of the take-off
+        above = read(path, takeoff_height=1560.0, height_datum=datum)
+        np.testing.assert_allclose(above.shots.pose.position.height, [1586.6 + shift], atol=1e-9)
     with pytest.raises(VerticalDatumError, match=r"a.jpg: height_datum='EPSG:0' is unknown"):
         read(path, height_datum="EPSG:0")
     with pytest.raises(TableError, match=r"its maker does not tell heights above the take-off"):

@@ -183,9 +183,20 @@ def test_the_gimbals_angles_err_as_those_of_a_drone(log) -> None:
         np.testing.assert_allclose(sigma["Attitude"], [1.0, 0.5, 0.5])
 
 
+def test_a_take_off_is_above_the_datum_that_is_given(log) -> None:
+    """Above mean sea level, the undulation of EGM96 is added; above the ellipsoid and a number, that number."""
+    ellipsoidal = log(litchi(), takeoff_height=300.0).shots.pose.position
+    lat, lon, height = (np.asarray(one) for one in ellipsoidal.to_degrees())
+    shifts = {"ellipsoid": 0.0, 12.5: 12.5, "EPSG:5773": undulation(lat, lon)}
+    for datum, shift in shifts.items():
+        found = log(litchi(), takeoff_height=300.0, height_datum=datum)
+        np.testing.assert_allclose(found.shots.pose.position.height, height + shift, atol=1e-6)
+    assert any("take-off at 300 m above EPSG:5773" in one for one in found.assumed)
+
+
 REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     "no take-off": (litchi(), {}, "its only heights are above the take-off: give takeoff_height="),
-    "datum": (litchi(), {"height_datum": "EPSG:5773"}, "takeoff_height=.*leave height_datum= out"),
+    "datum": (litchi(), {"height_datum": "EPSG:5773"}, "takeoff_height=.*above height_datum='EPSG:5773'"),
     "no number": (litchi({"gimbalPitchRaw": "down"}), {"takeoff_height": 0.0}, "row 2, column gimbalPitchRaw: 'down'"),
     "range": (litchi({"gimbalPitchRaw": "-6000"}), {"takeoff_height": 0.0}, "row 2: pitch -600 is outside"),
     "unit": (litchi().replace("altitude(m)", "altitude(rods)"), {"takeoff_height": 0.0}, "must be feet or meters"),

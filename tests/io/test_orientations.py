@@ -208,7 +208,7 @@ SIX = "sigma_north_m,sigma_east_m,sigma_down_m,sigma_heading_deg,sigma_pitch_deg
 ONE = f"image,x,y,z,o,p,k,{SIX}\na,833143,6298117,9,0,0,0,1,0,1,1,1,1\n"
 MAP: dict[str, Any] = {"crs": "EPSG:2154"}
 REFUSED = {
-    "no crs": (LAMBERT, {}, ["x_m is projected, and the file states no CRS: pass crs="]),
+    "no crs": (LAMBERT, {}, ["x_m is projected, and the file states no CRS: pass that of its map, such as crs="]),
     "crs too much": (EARTH, MAP, [r"no column x_m \(or x, x/east\)", "lat_deg is on the Earth: leave crs= out"]),
     "missing": (LAMBERT.replace("kappa_deg", "kapa"), MAP, [r"no column kappa_deg \(or kappa, k\); found image, x_m"]),
     "no image": (EARTH.replace("image", "photo"), {}, [r"no column image \(or filename, nom\)"]),

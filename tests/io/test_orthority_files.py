@@ -210,7 +210,7 @@ def test_what_one_image_is(files) -> None:
     assert float(shot.time) == 0.0
     assert sources == ()
     assert found.tags[1]["opk"] == IMAGES["b"][2]
-    assert any("31 m above the ellipsoid, as the caller says" in sentence for sentence in found.assumed)
+    assert any("31 m above the ellipsoid, as given" in sentence for sentence in found.assumed)
     alone = read_orthority(*files(), height_datum=31.0, camera="dmc")
     assert alone.names.tolist() == ["a", "c"]
     assert alone.sensor is not None

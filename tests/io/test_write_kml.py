@@ -69,9 +69,14 @@ def test_texts_survive_and_markup_stays_text(tmp_path: pathlib.Path) -> None:
     assert "empty" not in data
     table = ET.fromstring(mark.findtext("kml:description", "", KML))
     cells = {row[0].text: row[1].text for row in table}
-    assert list(cells) == ["fix_height_m", "fix_height_msl_m", "status_text", "ce90_m", "le90_m", "se90_m"]
-    assert cells.items() <= data.items()
-    assert float(cells["fix_height_m"] or "") == pytest.approx(600.0)
+    heights = ["height above WGS 84, m", "height above mean sea level (EGM96), m"]
+    radii = ["CE90, m", "LE90, m", "SE90, m"]
+    assert list(cells) == ["latitude, deg", "longitude, deg", *heights, "status", *radii]
+    assert cells.pop("status") == data["status_text"]
+    columns = ["fix_lat_deg", "fix_lon_deg", "fix_height_m", "fix_height_msl_m", "ce90_m", "le90_m", "se90_m"]
+    for name, (title, text) in zip(columns, cells.items(), strict=True):
+        places = 7 if "deg" in title else 2
+        assert float(text or "") == pytest.approx(float(data[name] or ""), abs=0.5001 * 10.0**-places)
 
 
 def test_times_are_those_of_placemarks_and_nothing_comes_from_the_net(tmp_path: pathlib.Path) -> None:

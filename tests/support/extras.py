@@ -131,19 +131,6 @@ def scheduler(_: pathlib.Path) -> None:
         pass
 
 
-def catalogue(folder: pathlib.Path) -> None:
-    """The place of a raster, as STAC tells it."""
-    import pyproj
-    from rasterio.transform import from_origin
-
-    from jaxgeo.cluster.catalogue import read_json, write_item
-    from jaxgeo.io.map_raster import MapRaster
-
-    raster = MapRaster(pyproj.CRS("EPSG:32632"), from_origin(500_000.0, 5_300_000.0, 2.0, 2.0), (300, 400))
-    write_item(folder / "a.json", {}, raster, {}, None, cog=False)
-    assert abs(read_json(folder / "a.json")["bbox"][0] - 9.0) < 1e-6
-
-
 def search(folder: pathlib.Path) -> None:
     """Tiles of a STAC collection: asked for at an address where no server is."""
     from jaxgeo.io.archives import ArchiveError, DemCache, fetch_dem
@@ -169,8 +156,8 @@ def px4_log(folder: pathlib.Path) -> None:
 
 EXTRAS = {
     "cluster": Extra(
-        ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pyogrio", "pystac", "yaml"),
-        (scheduler, catalogue),
+        ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pyogrio", "yaml"),
+        (scheduler,),
     ),
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),

@@ -64,7 +64,7 @@ def _in_map(found: Any) -> float:
 
 def _opk(path: pathlib.Path) -> None:
     """Omega 0.5, phi -1.2, kappa 89.3 deg in the map: R_map_from_image = Rx Ry Rz."""
-    with pytest.raises(TableError, match='pass crs="EPSG:32616"'):
+    with pytest.raises(TableError, match='such as crs="EPSG:32616"'):
         read_acquisition(path, height_datum="ellipsoid")
     found = read_acquisition(path, height_datum="ellipsoid", crs=UTM)
     convergence = _in_map(found)

@@ -15,10 +15,11 @@ from jaxgeo._checks import check_is
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io.acquisitions._attitudes import attitudes_of
+from jaxgeo.io.acquisitions._takeoff import heights_above_takeoff
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
-from jaxgeo.io.given_camera import AS_GIVEN
+from jaxgeo.io.given_camera import AS_GIVEN, OWN_CAMERA
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import Sentinel, sentinel_of
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -77,7 +78,7 @@ def acquisition_of_records(
     if cameras is not None:
         check_is(cameras, FrameCamera, "cameras")
     if camera is not None:
-        raise TableError(f"{path}: camera={camera!r} is asked for, but the file names no cameras.")
+        raise TableError(f"{path}: camera={camera!r} is asked for, but the file names no cameras. Give {OWN_CAMERA}.")
     records = [_without_nan(record) for record in records]
     for record in records:
         _check_range(path, record)
@@ -194,11 +195,9 @@ def _heights(
 ) -> tuple[np.ndarray, list[str]]:
     """(heights in m above the ellipsoid, assumptions)."""
     if takeoff is not None:
-        if datum is not None:
-            raise TableError(f"{path}: height_datum= and takeoff_height= both say what heights are; give one.")
-        if not np.isfinite(takeoff):
-            raise TableError(f"{path}: takeoff_height= must be finite, in m above the ellipsoid.")
-        return takeoff + columns["above_takeoff"], [f"Heights are above a take-off at {takeoff:g} m, by the barometer."]
+        lon, lat, above = columns["lon"], columns["lat"], columns["above_takeoff"]
+        heights, where = heights_above_takeoff(path, lon, lat, above, takeoff, datum)
+        return heights, [f"Heights are above {where}, by the barometer."]
     if datum is None:
         above = first.numbers.get("above_takeoff")
         shown = f"{first.numbers['altitude']:g} m" + ("" if above is None else f", {above:g} m above the take-off")

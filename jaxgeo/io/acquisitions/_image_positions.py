@@ -7,6 +7,7 @@ import numpy as np
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
+from jaxgeo.io.acquisitions._takeoff import heights_above_takeoff
 from jaxgeo.io.acquisitions.record import UnstatedDatum
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -62,15 +63,11 @@ def heights_of(
     """(heights in m above the ellipsoid, assumptions)."""
     first = tags[0]
     if takeoff_height is not None:
-        if height_datum is not None:
-            raise TableError(f"{first.path}: height_datum= and takeoff_height= both say what heights are; give one.")
-        if not np.isfinite(takeoff_height):
-            raise TableError(f"{first.path}: takeoff_height= must be finite, in m above the ellipsoid.")
         if not maker.relative:
             raise TableError(f"{first.path}: its maker does not tell heights above the take-off; give height_datum=.")
-        above = [_needed(one, maker.relative) for one in tags]
-        note = f"Heights are {maker.relative} above a take-off at {takeoff_height:g} m, as the barometer has them."
-        return takeoff_height + np.array(above), [note]
+        above = np.array([_needed(one, maker.relative) for one in tags])
+        heights, where = heights_above_takeoff(first.path, lon, lat, above, takeoff_height, height_datum)
+        return heights, [f"Heights are {maker.relative} above {where}, as the barometer has them."]
     heights = np.array([_altitude(one, maker) for one in tags])
     if maker.datum and all(one.text(maker.datum).lower().startswith("ellips") for one in tags):
         if height_datum not in (None, "ellipsoid"):

@@ -178,4 +178,4 @@ def _raised(pose: Pose, datum: Any) -> Pose:
 
 
 def _frame(what: str) -> str:
-    return f"The frame is {what}, with its scale in metres, as the caller says."
+    return f"The frame is {what}, with its scale in metres, as given."

@@ -41,8 +41,8 @@ def read_airdata(
     left out, and counted in `assumed`.
 
     - `height_datum`: datum of `altitude_above_seaLevel`, else of `altitude`, as in scene files.
-    - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, to which `height_above_takeoff`
-      is added.
+    - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, or `height_datum` if
+      given, to which `height_above_takeoff` is added.
     - `cameras`: the camera, with the size of its images; without it exposures have no sensor.
     - `camera`: a camera name; not applicable to such files.
 

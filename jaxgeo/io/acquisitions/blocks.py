@@ -146,8 +146,8 @@ def heights_are(datum: str | float | None) -> str:
     """Sentence: the assumed datum of the heights."""
     if datum is None:
         return "Heights are above what the file's map says."
-    surface = f"{datum!r}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
-    return f"Heights are above {surface}, as the caller says."
+    surface = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
+    return f"Heights are above {'the WGS 84 ellipsoid' if datum == 'ellipsoid' else surface}, as given."
 
 
 def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:

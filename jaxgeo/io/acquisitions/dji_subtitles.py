@@ -57,7 +57,8 @@ def read_dji_subtitles(
     those of the video.
 
     - `height_datum`: datum of `abs_alt`, as in scene files.
-    - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, to which `rel_alt` is added.
+    - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, or `height_datum` if
+      given, to which `rel_alt` is added.
     - `cameras`: the camera of the video, with the size of its frames; without it exposures have no sensor.
     - `camera`: a camera name; not applicable to such files.
 

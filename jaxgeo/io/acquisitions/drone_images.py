@@ -58,8 +58,8 @@ def read_drone_images(
 
     - `height_datum`: datum of the files' altitudes: "ellipsoid", "EPSG:5773" (EGM96 mean sea
       level), an undulation in m, the path of a geoid grid; as in scene files. Only Skydio's files state it.
-    - `takeoff_height`: instead, the height of the take-off point in m above the ellipsoid, to which the files'
-      heights above it are added.
+    - `takeoff_height`: instead, the height of the take-off point in m above the ellipsoid, or `height_datum` if
+      given, to which the files' heights above it are added.
     - `camera`: instead of the tags, a camera of the size of the images; a lens as text, "focal=8.8mm,pitch=2.41um",
       "focal=8.8mm,sensor=13.2mm" or "focal=3666px"; the path of a camera file or scene file (.toml); or the name of a
       camera of the table, "FC6310".

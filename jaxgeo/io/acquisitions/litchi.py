@@ -33,16 +33,16 @@ def read_litchi(
 
     Columns as the app writes them: `latitude`, `longitude`, `altitude(m)` or `(feet)` above the take-off,
     `datetime(utc)`, `gimbalPitchRaw`, `gimbalRollRaw`, `gimbalYawRaw` in tenths of a degree against true north and
-    level, `istakingphoto`. There is no other height: `takeoff_height`, in m above the ellipsoid, is required and
-    `height_datum` refused.
+    level, `istakingphoto`. There is no other height: `takeoff_height`, in m above the ellipsoid, or
+    `height_datum` if given, is required.
 
     Raises `TableError` without `takeoff_height`; else as `read_airdata`.
     """
     require_x64()
-    if height_datum is not None or takeoff_height is None:
+    if takeoff_height is None:
         raise TableError(
             f"{path}: its only heights are above the take-off: give takeoff_height=..., the height of that point in m "
-            f"above the ellipsoid{', and leave height_datum= out' if height_datum is not None else ''}."
+            f"above {'the ellipsoid' if height_datum is None else f'height_datum={height_datum!r}'}."
         )
     table = read_csv(path, FORM, (), known=("latitude", "longitude"))
     records = records_of(table, LAYOUT, True, lambda cells: moment_in(cells.get("datetime", "")))
@@ -51,7 +51,7 @@ def read_litchi(
         FORM,
         records,
         LITCHI,
-        height_datum=None,
+        height_datum=height_datum,
         takeoff_height=takeoff_height,
         cameras=cameras,
         camera=camera,

@@ -102,7 +102,7 @@ def read_pix4d(
     centres = np.array([images[k].numbers[5] for k in rows]) + offset
     pose, notes = poses_in_frame(path, frame, height_datum, centres, R_world_from_camera)
     if crs is None:
-        notes = (notes[0].replace("the caller says", f"{_beside(place, MAP).name} says"), *notes[1:])
+        notes = (notes[0].replace("as given", f"as {_beside(place, MAP).name} says"), *notes[1:])
     return Acquisition(
         path=os.fspath(path),
         form=FORM,

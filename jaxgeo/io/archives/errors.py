@@ -9,9 +9,13 @@ class ArchiveError(DemError):
     """An archive of elevation tiles that cannot be read; the message says what is missing and what to do."""
 
 
-class MissingGrid(ArchiveError):
+class NotAtHand(ArchiveError):
+    """Something that is not on this machine and cannot be fetched now."""
+
+
+class MissingGrid(NotAtHand):
     """A geoid grid that is not on this machine, or does not reach where it is needed."""
 
 
-class Unreachable(ArchiveError):
+class Unreachable(NotAtHand):
     """A server that gives no usable answer."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo.earth.ray import Ray
-from jaxgeo.io.archives.catalogue import PROJ, Archive, archive_of, mirrors_of
+from jaxgeo.io.archives.catalogue import ARCHIVES, PROJ, Archive, archive_of, mirrors_of
 from jaxgeo.io.archives.errors import ArchiveError
 from jaxgeo.io.archives.geoid_window import datum_for, grid_folder, is_offline
 from jaxgeo.io.archives.ground import ArchiveGround, positions
@@ -23,6 +23,11 @@ from jaxgeo.io.vertical import VerticalDatum
 from jaxgeo.io.windows import Bounds
 
 MOST_DEGREES = 16.0  # deg**2 of an area
+EGM2008 = ARCHIVES["copernicus"].datum
+IN_PLACE = (
+    'vertical_datum="EPSG:5773", EGM96 in place of EGM2008: it comes with the package, and is within about a metre of '
+    "it in most places."
+)
 
 
 def fetch_dem(
@@ -92,8 +97,8 @@ def fetch_dem(
     if found.datum is not None and f"{datum}".removeprefix("EPSG:") in ("None", found.datum.removeprefix("EPSG:")):
         datum = ground.told(
             lambda web: datum_for(str(found.datum), found.geoid, edges, kept, web, mirrors.get(PROJ)),
-            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, give another vertical_datum=..., or put the "
-            f"file into {grid_folder()}.",
+            f"Get it while online with `jaxgeo dem --geoid {found.datum}`, or put the file into {grid_folder()}; or "
+            "take " + (IN_PLACE if found.datum == EGM2008 else "another vertical_datum=... ."),
         )
     parts = [ground.parts[key] for key in sorted(ground.parts)]
     return FetchedDem(
@@ -107,6 +112,7 @@ def fetch_dem(
         fetched=sum(part.size for part in parts if not part.was_cached and not part.sea),
         cached=sum(part.size for part in parts if part.was_cached and not part.sea),
         cut=cut,
+        stated=vertical_datum,
     )
 
 

@@ -24,7 +24,7 @@ from rasterio.windows import Window
 from jaxgeo._partial import partial_file
 from jaxgeo.io._proj import NoOperation, operation
 from jaxgeo.io.archives.catalogue import PROJ, joined, mirrors_of
-from jaxgeo.io.archives.errors import ArchiveError, MissingGrid
+from jaxgeo.io.archives.errors import ArchiveError, MissingGrid, Unreachable
 from jaxgeo.io.archives.store import DemCache
 from jaxgeo.io.archives.web import Web
 from jaxgeo.io.errors import VerticalDatumError
@@ -105,11 +105,17 @@ def fetch_geoid(datum: str = "EPSG:3855", *, mirror: str | None = None, proxy: s
     if not names:
         raise ArchiveError(f"{datum}: PROJ knows no transformation from it to the WGS 84 ellipsoid.")
     base = mirrors_of(mirror).get(PROJ) or get_proj_endpoint()
-    known = _published(web, base)
+    folder = pathlib.Path(get_user_data_dir(True))
+    try:
+        known = _published(web, base)
+    except Unreachable as error:
+        raise Unreachable(
+            f"{error}. Try again, name a proxy=... or mirror=..., or download {names[0]} elsewhere and put it into "
+            f"{folder}."
+        ) from error
     names = [name for name in dict.fromkeys(names) if name in known][:1]
     if not names:
         raise ArchiveError(f"{datum}: PROJ does not offer the grid that it needs; get it from its publisher.")
-    folder = pathlib.Path(get_user_data_dir(True))
     found = []
     for name in names:
         url = joined(base, name)

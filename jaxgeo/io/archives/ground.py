@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxgeo.io.archives.catalogue import ARCHIVES, STAC, Archive, Cell, joined, names_of
-from jaxgeo.io.archives.errors import ArchiveError, MissingGrid, Unreachable
+from jaxgeo.io.archives.errors import ArchiveError, MissingGrid, NotAtHand, Unreachable
 from jaxgeo.io.archives.geoid_window import OFFLINE
 from jaxgeo.io.archives.parts import (
     ENDING,
@@ -91,7 +91,7 @@ class ArchiveGround:
             raise Unreachable(f"{error}. {self._ways()} {advice}") from error
         except MissingGrid as error:
             why = "offline, and " if self.offline else ""
-            raise ArchiveError(f"{self.archive.name}: {why}{error}. {advice}") from error
+            raise NotAtHand(f"{self.archive.name}: {why}{error}. {advice}") from error
 
     def _ellipsoidal(self, lon: np.ndarray, lat: np.ndarray, low: np.ndarray) -> np.ndarray:
         if self.archive.datum is None:
@@ -140,7 +140,7 @@ class ArchiveGround:
         if not unknown:
             return
         if self.offline and is_remote(self._source(header)):
-            raise ArchiveError(self._missing_offline(file_name(header.url), header.url))
+            raise NotAtHand(self._missing_offline(file_name(header.url), header.url))
         self._reached(header.url, lambda: self.web.retried(lambda: self._read(header, unknown)))
 
     def _read(self, header: TileHeader, places: list[Place]) -> None:
@@ -213,7 +213,7 @@ class ArchiveGround:
         if known is not None and (is_remote(source) or known.version == self._version(source)):
             return known
         if self.offline and is_remote(source):
-            raise ArchiveError(self._missing_offline(file_name(url), url))
+            raise NotAtHand(self._missing_offline(file_name(url), url))
 
         def look() -> TileHeader | None:
             found = self.web.look(source)

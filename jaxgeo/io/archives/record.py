@@ -37,6 +37,8 @@ class FetchedDem:
     """Bytes that were in the cache already."""
     cut: int
     """Number of lines of sight that were not followed to the ground, because it is too far away."""
+    stated: VerticalDatum = None
+    """The datum that the caller states for the heights, as for `read_dem`."""
 
     def read(self, **options: Any) -> Dem:
         """The ground within `bounds` as a `Dem`; options of `read_dem`."""
@@ -57,7 +59,13 @@ class FetchedDem:
             "EPSG:5773": "EGM96 (EPSG:5773)",
             "EPSG:5703": "NAVD88 (EPSG:5703)",
         }
-        return "as its files state" if self.archive.datum is None else names.get(self.archive.datum, self.archive.datum)
+        own = self.archive.datum
+        said = "as its files state" if own is None else names.get(own, own)
+        if self.stated is None or self.stated == own:
+            return said
+        is_number = isinstance(self.stated, float | int)
+        taken = f"{self.stated:g} m" if is_number else names.get(f"{self.stated}", f"{self.stated}")
+        return taken if own is None else f"{said}, taken as above {taken}"
 
     def messages(self) -> list[str]:
         """Sentences on the source, its licence, and what was assumed."""

@@ -95,6 +95,32 @@
 
 {% include "sortable.js" %}
 
+  // Charts in the colours of the page: those of Python are the light ones.
+  const dark = window.matchMedia("screen and (prefers-color-scheme: dark)");
+  const INK = "#e8e8e8", MUTED = "#a8a8a8", HAIR = "#3a3f44", SOFT = "#202428", PAPER_COLOUR = "#14171a";
+  const GLYPHS = { "#1a1a1a": INK, "#0072b2": "#6db9ea", "#4a148c": "#c3a0f5" };
+  const coloured = [];  // [model, light, dark]
+  function add(model, colours) {
+    coloured.push([model, Object.fromEntries(Object.keys(colours).map((name) => [name, model[name]])), colours]);
+  }
+  function collect() {
+    for (const [name, chart] of Object.entries(named)) {
+      add(chart, { border_fill_color: PAPER_COLOUR, background_fill_color: name === "map" ? SOFT : PAPER_COLOUR, outline_line_color: HAIR });
+      for (const axis of [...chart.below, ...chart.left].filter((one) => "axis_label" in one))
+        add(axis, { axis_line_color: MUTED, major_tick_line_color: MUTED, major_label_text_color: INK, axis_label_text_color: INK });
+      for (const lines of chart.center.filter((one) => "grid_line_color" in one)) add(lines, { grid_line_color: HAIR });
+      if (name === "map") continue;  // the relief is as light as ever
+      for (const { glyph } of chart.renderers) {
+        const given = ["line_color", "fill_color"].map((key) => [key, glyph[key] && (glyph[key].value || glyph[key])]);
+        const other = given.filter(([, colour]) => colour in GLYPHS).map(([key, colour]) => [key, { value: GLYPHS[colour] }]);
+        if (other.length) add(glyph, Object.fromEntries(other));
+      }
+    }
+  }
+  function paint() {
+    for (const [model, light, other] of coloured) model.setv(dark.matches ? other : light);
+  }
+
   // Charts are not laid out anew for paper: as they are on the screen, they are made as small as it.
   const PAPER = 180 * 96 / 25.4;  // CSS pixels between the margins of A4, and within those of letter
   function fitToPaper() {
@@ -115,6 +141,9 @@
     for (const name of Object.keys(data.equal)) if (named[name]) keepEqual(name, data.equal[name]);
     readOut(data.heights.map(grid).reverse());
     buttons();
+    collect();
+    paint();
+    dark.addEventListener("change", paint);
     document.documentElement.dataset.ready = "yes";
   });
 })();

@@ -105,12 +105,7 @@ def _as_line(variance: Any, other: Any, bias: Any) -> tuple[Any, Any, Any]:
 
 def _radius(cov: Any, probability: Any, bias: Any, d: int) -> Numbers:
     cov, bias = covariance(cov, d), bias_of(bias, d)
-    level = check_probability(probability)
-    known = concrete(level)
-    if known is not None and np.any(known > HIGHEST):
-        raise ValueError(
-            f"probability must be at most 1 - 1e-10, up to which a radius has digits; got 1 - {1.0 - known.max():.3g}."
-        )
+    level = level_of(probability)
     found = host_radii(cov, level, bias)
     return _radii(cov, level, bias) if found is None else jax.device_put(found)
 
@@ -122,6 +117,17 @@ def _chance(cov: Any, radius: Any, bias: Any, d: int) -> Numbers:
     if known is not None and np.any(np.isnan(known)):
         raise ValueError("radius must be a number of m; got NaN.")
     return _chances(cov, radius, bias)
+
+
+def level_of(probability: Any) -> Numbers:
+    """The probability of a radius as float64; raises `ValueError` if it is concrete and outside (0, 1 - 1e-10]."""
+    level = check_probability(probability)
+    known = concrete(level)
+    if known is not None and np.any(known > HIGHEST):
+        raise ValueError(
+            f"probability must be at most 1 - 1e-10, up to which a radius has digits; got 1 - {1.0 - known.max():.3g}."
+        )
+    return level
 
 
 def check_probability(probability: Any) -> Numbers:

@@ -1,0 +1,32 @@
+"""Heights above the point of take-off as heights above the ellipsoid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.scene import ellipsoidal_heights
+
+
+def heights_above_takeoff(
+    path: Any, lon: np.ndarray, lat: np.ndarray, above: np.ndarray, takeoff: float, datum: str | float | None
+) -> tuple[np.ndarray, str]:
+    """(heights (n,) in m above the ellipsoid, words for the take-off) of heights `above` the point of take-off.
+
+    `takeoff` is its height in m above the ellipsoid, or above `datum` if that is given, with the undulation at each
+    position (`lon`, `lat` in deg). Raises `TableError`, and `VerticalDatumError`.
+    """
+    if not np.isfinite(takeoff):
+        raise TableError(f"{path}: takeoff_height= must be finite, in m above the ellipsoid or height_datum=.")
+    words = f"a take-off at {takeoff:g} m"
+    if datum is None or datum == "ellipsoid":
+        return takeoff + above, words
+    where = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
+    try:
+        return ellipsoidal_heights(lon, lat, takeoff + above, datum), f"{words} above {where}"
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
+        raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
+    except OutsideDatum as error:
+        raise TableError(f"{path}: {error}") from error
