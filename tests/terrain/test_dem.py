@@ -311,9 +311,10 @@ def test_the_mask_of_a_masked_array_is_kept():
 
 def test_the_gradient_of_a_patch_is_the_difference_of_its_heights() -> None:
     """Along rows and columns: exact for steps of any size, as the surface is linear along each."""
-    patch = Patch(first=1.0, next_col=2.0, next_row=4.0, last=9.0)
-    half = 0.5
+    patch, half = Patch(first=1.0, next_col=2.0, next_row=4.0, last=9.0), 0.5
     for row, col in jnp.array([[0.2, 0.7], [-0.5, 1.5]]):
-        along_rows, along_cols = patch.gradient(row, col)
-        assert along_rows == pytest.approx(patch.at(row + half, col) - patch.at(row - half, col), rel=1e-12)
-        assert along_cols == pytest.approx(patch.at(row, col + half) - patch.at(row, col - half), rel=1e-12)
+        differences = (
+            patch.at(row + half, col) - patch.at(row - half, col),
+            patch.at(row, col + half) - patch.at(row, col - half),
+        )
+        np.testing.assert_allclose(patch.gradient(row, col), differences, rtol=1e-12)
