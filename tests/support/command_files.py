@@ -120,6 +120,14 @@ def _telemetry(path: pathlib.Path) -> None:
     path.write_bytes(local_set(usual(**place)) + local_set(usual(**(place | {"tag_5": 31.0}))))
 
 
+def _subtitles(path: pathlib.Path) -> None:
+    """Of a video of a minute and a half: a record each second."""
+    cue = "{0}\n00:{1:02d}:{2:02d},000 --> 00:{1:02d}:{2:02d},033\n{3}\n\n"
+    place = f"[latitude: {LAT}] [longitude: {LON}] [rel_alt: 350.000 abs_alt: 900.000]"
+    record = f"{place} [gb_yaw: 160.0 gb_pitch: -60.0 gb_roll: 0.0]"
+    path.write_text("".join(cue.format(k + 1, *divmod(k, 60), record) for k in range(90)))
+
+
 def _sbet(path: pathlib.Path) -> None:
     record = np.zeros((3, 17))
     record[:, 0] = [10.0, 11.0, 12.0]
@@ -166,6 +174,7 @@ FILES: dict[str, Callable[[pathlib.Path], object]] = {
     "gcp_list.txt": _gcp_list,
     "found.csv": lambda path: path.write_text(FOUND),
     "flight.klv": _telemetry,
+    "DJI_0001.SRT": _subtitles,
     "mission.sbet": _sbet,
     "opk.csv": lambda path: path.write_text(OPK),
     "reconstruction.json": lambda path: path.write_text(json.dumps([RECONSTRUCTION])),
