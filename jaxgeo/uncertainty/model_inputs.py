@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._arguments import check_terrain, checked_air, checked_observation
+from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
@@ -134,10 +134,11 @@ class ModelInputs(Record):
     ) -> ModelInputs:
         """Inputs of `jaxgeo.locate` for pixel `uv`; arguments and exceptions as there.
 
-        Of a trajectory, only the knots around the exposure are kept.
+        Raises `ValueError` for a known pixel outside the image, where `locate` has no fix. Of a trajectory, only the knots around the exposure are kept.
         """
         check_terrain(terrain, search)
         sensor, motion, moment, pixel = checked_observation(sensor, shot, time, uv)
+        check_on_image(sensor, pixel)
         return cls.of_checked(sensor, motion, moment, pixel, of_arrays(terrain), checked_air(atmosphere))
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot
-from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sources
+from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sample, sources
 from jaxgeo.uncertainty.linear import AXES, derivatives
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.slopes import AbstractSlope, Surface
@@ -233,3 +234,11 @@ def test_another_model_compiles_its_own_derivatives_only() -> None:
     jax.monitoring.unregister_event_duration_listener(on)
     assert "derivatives" in compiled
     assert not {"_nominal_fix", "_diagnose_shared", "circular_error", "spherical_error"} & set(compiled)
+
+
+@pytest.mark.parametrize("question", [jaxgeo.propagate, jaxgeo.accuracy, jaxgeo.compare, sample])
+def test_a_pixel_outside_the_image_has_no_accuracy(question: Any) -> None:
+    """As it has no fix by `locate`: nothing is compiled, and the size of the image is named."""
+    scene = (looks.level_sensor(), looks.level_shot(), (-100.0, 0.0), looks.LEVEL, looks.level_errors())
+    with pytest.raises(ValueError, match=r"uv = \(-100, 0\) lies outside the image of \d+ columns x \d+ rows"):
+        question(*scene)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,9 +34,10 @@ def test_a_profile_that_says_nothing_changes_no_more_than_the_agreement(profile:
     assert abs(np.log(found)) <= AGREEMENT * (1.0 + 1e-12)
 
 
+@pytest.mark.parametrize("xp", [np, jnp], ids=["NumPy", "JAX"])
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (1.06, 0.9), (0.92, 1.1)])
-def test_the_spherical_error_follows_both(factors: tuple[float, float]) -> None:
-    circular, linear, spherical = over_profile(RADII, jnp.asarray(factors))
+def test_the_spherical_error_follows_both(factors: tuple[float, float], xp: Any) -> None:
+    circular, linear, spherical = over_profile(xp, tuple(map(xp.asarray, RADII)), xp.asarray(factors))
     np.testing.assert_allclose((circular, linear), (10.0 * factors[0], 3.0 * factors[1]), rtol=1e-15)
     beyond = 10.4**2 - 10.0**2  # what the height adds to the square
     np.testing.assert_allclose(spherical**2, circular**2 + beyond * factors[1] ** 2, rtol=1e-12)
@@ -42,7 +45,7 @@ def test_the_spherical_error_follows_both(factors: tuple[float, float]) -> None:
 
 def test_derivatives_are_those_of_linear_propagation_times_the_factors() -> None:
     def scaled(sigma: jax.Array) -> jax.Array:
-        return jnp.stack(over_profile(tuple(one * sigma for one in RADII), jnp.asarray([1.06, 0.9])))
+        return jnp.stack(over_profile(jnp, tuple(one * sigma for one in RADII), jnp.asarray([1.06, 0.9])))
 
     found, slope = jax.jvp(scaled, (jnp.asarray(1.0),), (jnp.asarray(1.0),))
     np.testing.assert_allclose(slope, found, rtol=1e-12)  # in proportion to sigma
