@@ -167,7 +167,7 @@ def test_comparisons_that_cannot_be_drawn(ax) -> None:
         (compared(), {"reach": -3.0}, "reach must be a positive length in m; got -3.0"),
         (compared(), {"propagations": {str(k): level() for k in range(4)}}, "propagations must be 3 or fewer; got 4"),
         (compared(), {"jumped": np.zeros(7, bool)}, "each of the 3000 samples"),
-        (compared(), {"probability": 1.0}, "between 0 and 1; got 1.0"),
+        (compared(), {"probability": 1.0}, "between 0 and 1, both excluded; got 1.0"),
     )
     for one, given, message in cases:
         with pytest.raises(ValueError, match=message):

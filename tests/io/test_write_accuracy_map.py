@@ -104,7 +104,7 @@ def test_tags_say_what_codes_mean(written) -> None:
         ({"crs": "EPSG:5773"}, ValueError, "needs a projected or geographic crs"),
         ({"bounds": (0.0, 0.0, 1.0, 1.0)}, ValueError, "name it with crs="),
         ({"crs": "EPSG:32632", "bounds": (2.0, 0.0, 1.0, 1.0)}, ValueError, "west < east"),
-        ({"crs": "EPSG:32632", "bounds": (0.0, 0.0, 1.0, 1.0)}, ValueError, "name the size of a cell"),
+        ({"crs": "EPSG:32632", "bounds": (0.0, 0.0, 1.0, 1.0)}, ValueError, "give the size of a cell"),
         ({"crs": "EPSG:32632", "bounds": (0.0, 0.0, 1.0, 1.0), "resolution": -1.0}, ValueError, "must be positive"),
         ({"shot": POSE, "resolution": 10.0}, ValueError, "has no edge"),
     ],
