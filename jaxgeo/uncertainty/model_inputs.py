@@ -134,7 +134,8 @@ class ModelInputs(Record):
     ) -> ModelInputs:
         """Inputs of `jaxgeo.locate` for pixel `uv`; arguments and exceptions as there.
 
-        Raises `ValueError` for a known pixel outside the image, where `locate` has no fix. Of a trajectory, only the knots around the exposure are kept.
+        Raises `ValueError` for a known pixel outside the image, where `locate` has no fix. Of a trajectory, only the
+        knots around the exposure are kept.
         """
         check_terrain(terrain, search)
         sensor, motion, moment, pixel = checked_observation(sensor, shot, time, uv)
