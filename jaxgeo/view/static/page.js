@@ -2,6 +2,10 @@
 (function () {
   const byId = (id) => document.getElementById(id);
   const text = (id, words) => { byId(id).textContent = words; };
+  // For screen readers: what is said at once takes the place of what still waits to be said.
+  let saying;
+  function say(words) { clearTimeout(saying); text("spoken", words); }
+  function sayWhenStill(words) { clearTimeout(saying); saying = setTimeout(() => say(words()), 500); }
   const dark = matchMedia("(prefers-color-scheme: dark)");
   let colours = {};
   function readColours() {
@@ -140,10 +144,7 @@
       if (px < room || py < room || px > this.width - room || py > this.height - room) [this.x, this.y] = this.cross;
       this.readout.textContent = this.tell(...this.cross);
       this.changed();
-      if (way) {
-        clearTimeout(this.telling);
-        this.telling = setTimeout(() => text("spoken", "Cross at " + this.tell(...this.cross)), 500);
-      }
+      if (way) sayWhenStill(() => "Cross at " + this.tell(...this.cross));
     }
     draw() {
       if (this.isDrawing) return;
@@ -455,6 +456,7 @@
     const words = error instanceof TypeError ? "The viewer has ended; start jaxgeo view again." : error.message;
     shown.point = null;
     show({ asked: "No answer", label: "Error", sentence: words, isBad: true });
+    say(words);
   }
 
   async function askPixel(u, v) {
@@ -519,13 +521,13 @@
       const place = { asked, label: seen.label, isBad: !isSeen, headline, more, sentence: isSeen ? "" : seen.status_text };
       show({ ...place, isWaiting: isSeen && shown.map.has_errors });
       showSeen(seen);
-      text("spoken", isSeen ? "In " + one.name + " at column " + seen.u.toFixed(1) + ", row " + seen.v.toFixed(1) : "Not visible: " + seen.status_text);
+      say(isSeen ? "In " + one.name + " at column " + seen.u.toFixed(1) + ", row " + seen.v.toFixed(1) : "Not visible: " + seen.status_text);
       if (!isSeen || !shown.map.has_errors) return;
       const fix = await get("api/locate?image=" + number + "&u=" + seen.u + "&v=" + seen.v, stop);
       Object.assign(shown.point, { ellipse: fix.ellipse, ellipse_uv: fix.ellipse_uv, ce: fix.circular_m ?? null });
       const size = extent(fix.ellipse_uv);
       show({ ...place, fix, sentence: fix.ellipse_text + (size ? "; in the image it spans " + size + "." : ".") });
-      text("spoken", "Column " + seen.u.toFixed(1) + ", row " + seen.v.toFixed(1) + spokenAccuracy(fix));
+      say("Column " + seen.u.toFixed(1) + ", row " + seen.v.toFixed(1) + spokenAccuracy(fix));
     } catch (error) { complain(error); }
   }
 
@@ -537,7 +539,7 @@
   }
   const spokenAccuracy = (fix) => fix.circular_text ? ", CE" + shown.map.percent + " " + fix.circular_text : "";
   function speak(asked, fix) {
-    text("spoken", fix.is_fix ? asked + " is at " + fix.lat_text + ", " + fix.lon_text + ", " + fix.height_text + spokenAccuracy(fix) : asked + ": no fix. " + fix.status_text);
+    say(fix.is_fix ? asked + " is at " + fix.lat_text + ", " + fix.lon_text + ", " + fix.height_text + spokenAccuracy(fix) : asked + ": no fix. " + fix.status_text);
   }
   function keepInView(stage, at) {
     const [left, top, right, bottom] = stage.whole;
@@ -597,7 +599,7 @@
     if (!point || point.lat === null || !point.is_fix) return;
     shown.kept.push({ ...point, name: shown.images[point.image].name, number: (shown.kept.at(-1)?.number ?? 0) + 1 });
     listKept();
-    text("spoken", "Point " + shown.kept.at(-1).number + " kept.");
+    say("Point " + shown.kept.at(-1).number + " kept.");
   }
   function listKept() {
     byId("kept-block").hidden = !shown.kept.length;
@@ -721,7 +723,7 @@
       if (both.length === 2) [first.value, second.value] = both;
       const numbers = [first, second].map((one) => numberIn(one.value)), wrong = check(...numbers);
       for (const [i, one] of [first, second].entries()) one.setAttribute("aria-invalid", String(Number.isNaN(numbers[i])));
-      if (wrong) { shown.point = null; show({ asked: "Not understood", label: "Error", sentence: wrong, isBad: true }); text("spoken", wrong); return; }
+      if (wrong) { shown.point = null; show({ asked: "Not understood", label: "Error", sentence: wrong, isBad: true }); say(wrong); return; }
       ask(...numbers);
     });
   }
@@ -745,7 +747,7 @@
   byId("keep").addEventListener("click", keep);
   byId("copy").addEventListener("click", async () => {
     const point = shown.point, words = point.lat.toFixed(7) + ", " + point.lon.toFixed(7);
-    try { await navigator.clipboard.writeText(words); text("spoken", "Copied."); text("copy", "Copied"); } catch { text("copy", words); }
+    try { await navigator.clipboard.writeText(words); say("Copied."); text("copy", "Copied"); } catch { text("copy", words); }
     setTimeout(() => text("copy", "Copy coordinates"), 1500);
   });
   byId("save-csv").addEventListener("click", saveCsv);
