@@ -23,17 +23,10 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
 from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
 from jaxgeo.uncertainty.accuracy_record import Accuracy
-from jaxgeo.uncertainty.linear_accuracy import (
-    assess_fix,
-    factors_over,
-    linear_radii,
-    method_of,
-    over_profile,
-    radii_about_fix,
-)
+from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, select_known
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import Request, cells_of_pixels, check_block, check_level
-from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose, select_method
+from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import FIGURES, draw_errors
@@ -42,7 +35,6 @@ from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, reso
 SAMPLES = 20_000
 SAMPLING = Sampling()
 OF_PIXELS = (None, None, 0, None, None)
-_method_of = quick_filter_jit(method_of)
 
 
 @accepts_sampling_options
@@ -136,29 +128,22 @@ def accuracy_about(
 ) -> Accuracy:
     """`accuracy` of checked inputs, model and options, about a nominal fix."""
     found = diagnose(inputs, nominal, model)
-    diagnostics, facet, footprint, profile = found
-    code = select_method(diagnostics) if model.is_normal else _method_of(found)
-    method, probability = Method(int(code)), float(level)
-    linear = facet if method is Method.facet else footprint
-    cov, bias, failed, sampled = linear.cov_enu, linear.bias_enu, np.nan, None
+    one = select_known(found, nominal, level)
+    method, probability = Method(int(one.method)), float(level)
+    cov, bias, failed, sampled = one.cov_enu, one.bias_enu, np.nan, None
     if method is Method.samples:
         sampled = draw_errors(inputs, nominal, model, search, sampling)
         radii = [sampled.quantile(figure, probability).value for figure in FIGURES]
         cov, bias, failed = np.full((3, 3), np.nan), np.full(3, np.nan), sampled.failed
     else:
-        errors_of = (linear.circular_error, linear.linear_error, linear.spherical_error)
-        plane = tuple(error_of(level) for error_of in errors_of)
-        radii = _scaled(plane, profile, nominal.direction_enu, cov, level, radii_about_fix(cov, level))
+        radii = linear_radii(one, level)
     circular, vertical, spherical = jax.device_put(radii)
     code, cov, bias, failed = jax.device_put((int(method), cov, bias, failed))
-    more = (code, cov, bias, failed, diagnostics, sampling.count)
-    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, profile, model.left_out)
-
-
-@quick_filter_jit
-def _scaled(radii: Any, profile: Any, direction_enu: Any, cov_enu: Any, level: Scalar, about_fix: Any) -> Any:
-    """Radii of linear propagation as the terrain profile makes them."""
-    return over_profile(jnp, radii, jnp.stack(factors_over(profile, direction_enu, cov_enu, level, about_fix)))
+    linear = found.facet if method is Method.facet else found.footprint
+    more = (code, cov, bias, failed, found.diagnostics, sampling.count)
+    return Accuracy(
+        nominal.fix, level, circular, vertical, spherical, *more, linear, sampled, found.profile, model.left_out
+    )
 
 
 @quick_filter_jit

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import one_program
+from jaxgeo._checks import by_numpy_if_known
+from jaxgeo._compile import quick_filter_jit
 from jaxgeo._numerics import safe_sqrt
-from jaxgeo._typing import Index, IndexField, Indices, Matrix3Field, Numbers, Scalar, Vector3Field
+from jaxgeo._typing import Index, IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
 from jaxgeo.status import counts_as_fix
 from jaxgeo.uncertainty.method_selection import (
     AGREEMENT,
@@ -64,6 +65,21 @@ def select_linear(found: Diagnosed, nominal: NominalFix, probability: Scalar) ->
     return LinearAccuracy(method, cov, bias, diagnostics, factors)
 
 
+def select_known(found: Diagnosed, nominal: NominalFix, probability: Scalar) -> LinearAccuracy:
+    """`select_linear` of known numbers about a fix, with as few programs to compile as that takes.
+
+    Where samples are needed the factors are 1: no radii are made of them.
+    """
+    diagnostics, facet, footprint, profile = found
+    method = Method(int(select_method(diagnostics) if facet.model.is_normal else _method_of(found)))
+    linear = facet if method is Method.facet else footprint
+    factors: Any = np.ones(2)
+    if method is not Method.samples:
+        about_fix = radii_about_fix(linear.cov_enu, probability)
+        factors = _factors_of_one(profile, nominal.direction_enu, linear.cov_enu, probability, about_fix)
+    return LinearAccuracy(jnp.asarray(int(method)), linear.cov_enu, linear.bias_enu, diagnostics, factors)
+
+
 def method_of(found: Diagnosed) -> Index:
     """The method selected by diagnostics: samples also where the error of the fix is not nearly normal."""
     method = select_method(found.diagnostics)
@@ -82,14 +98,7 @@ def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Num
         linear_radius(cov, probability, bias),
         spherical_radius(cov, probability, bias),
     )
-    return _valid_over_profile(one.method, radii, one.factors)
-
-
-@one_program
-def _valid_over_profile(
-    method: Indices, radii: tuple[Numbers, Numbers, Numbers], factors: Float[Array, "... 2"]
-) -> tuple[Numbers, Numbers, Numbers]:
-    return valid_over_profile(jnp, method, radii, factors)
+    return by_numpy_if_known(valid_over_profile, one.method, radii, one.factors)
 
 
 def valid_over_profile(xp: Any, method: Any, radii: tuple[Any, Any, Any], factors: Any) -> tuple[Any, Any, Any]:
@@ -134,6 +143,14 @@ def factors_over(
     across = jax.vmap(lambda one: one.circular_error(probability, circular))(both)
     up = jax.vmap(lambda one: one.linear_error(probability, linear))(both)
     return _factor(across[0], across[1], AGREEMENT), _factor(up[0], up[1], AGREEMENT_UP)
+
+
+@quick_filter_jit
+def _factors_of_one(*given: Any) -> Float[Array, "2"]:
+    return jnp.stack(factors_over(*given))
+
+
+_method_of = quick_filter_jit(method_of)
 
 
 def _ends(radius: Scalar, most: float) -> tuple[Scalar, Scalar]:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, is_known
-from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks, quick_filter_jit
-from jaxgeo._typing import Numbers, Scalar
+from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks
+from jaxgeo._typing import Scalar
 from jaxgeo.fix import Fix
 from jaxgeo.sensor import Shot
 from jaxgeo.status import have_fix
@@ -19,8 +19,8 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket
 from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
 from jaxgeo.uncertainty.linear import OverSlope, derivatives
-from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_linear
-from jaxgeo.uncertainty.many_fixes import Normality, Perturbed, assess_blocks, size_of_blocks
+from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_known
+from jaxgeo.uncertainty.many_fixes import Assessed, Normality, Perturbed, assess_blocks, size_of_blocks
 from jaxgeo.uncertainty.map_cells import Request
 from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
@@ -32,7 +32,6 @@ NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
 OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
 
 Axes = tuple[int | None, ...]
-Assessed = tuple[NominalFix, LinearAccuracy, tuple[Numbers, Numbers, Numbers]]
 
 
 class Batch(NamedTuple):
@@ -64,8 +63,7 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
         nominals, found = _assess_traced(batch, request)
         return _of_traced(nominals, found, linear_radii(found, request.probability), request.probability, note)
     if number == 1:
-        one: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[None], _assess_one(batch.at(0), request))
-        nominals, found, radii = one
+        nominals, found, radii = _assess_one(batch.at(0), request)
     else:
         size = size_of_blocks(number, request.block)
         lanes: Any = batch.lanes, _located(batch, number, request)
@@ -143,17 +141,14 @@ def _assess_one(given: tuple[Any, ...], request: Request) -> Assessed:
     """The same of one exposure, by the programs of a call of `accuracy` for it."""
     inputs, model = inputs_of(given)
     nominal = inputs.nominal_fix(request.search)
-    if not have_fix(nominal.fix.status):
-        unknown = jnp.asarray(np.nan)
-        diagnostics = Diagnostics(*[unknown] * len(Diagnostics._fields))
-        cov, bias = (jnp.asarray(np.full(shape, np.nan)) for shape in ((3, 3), 3))
-        none = LinearAccuracy(jnp.asarray(NO_FIX), cov, bias, diagnostics, jnp.ones(2))
-        return nominal, none, (unknown, unknown, unknown)
-    found = _select_linear(diagnose(inputs, nominal, model), nominal, request.probability)
-    return nominal, found, linear_radii(found, request.probability)
-
-
-_select_linear = quick_filter_jit(select_linear)
+    if have_fix(nominal.fix.status):
+        found = select_known(diagnose(inputs, nominal, model), nominal, request.probability)
+    else:
+        unknown: Any = np.full(len(Diagnostics._fields), np.nan)
+        figures: Any = np.full((3, 3), np.nan), np.full(3, np.nan), Diagnostics(*unknown), np.ones(2)
+        found = LinearAccuracy(jnp.asarray(NO_FIX), *figures)
+    radii: Any = linear_radii(found, request.probability)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], Assessed(nominal, found, radii))
 
 
 def _located(batch: Batch, number: int, request: Request) -> tuple[Fix, Bracket] | None:

@@ -16,14 +16,14 @@ from jaxgeo._typing import IndexField, Matrix3Field, PixelField, ScalarField, St
 from jaxgeo.earth import Geodetic
 from jaxgeo.status import Status, count_statuses
 from jaxgeo.uncertainty._figures import figure
-from jaxgeo.uncertainty.look_lines import block_size
-from jaxgeo.uncertainty.metrics._host import MOST
-from jaxgeo.uncertainty.radii import circular_radius, linear_radius, spherical_radius
+from jaxgeo.uncertainty.metrics.exact import level_of
+from jaxgeo.uncertainty.radii import radii_of_many
 from jaxgeo.uncertainty.target_motion import AbstractTarget
 from jaxgeo.uncertainty.validation import SIGNIFICANCE, Size
 
 NAMED = 5  # looks in a sentence
 AMBIGUOUS, LEAST_APART = 2.0, 1.0  # times SE90, and m: farther apart, batch and filter are at different solutions
+HORIZONTAL, VERTICAL, ALL_AXES = slice(0, 2), slice(2, 3), slice(0, 3)  # of east, north, up
 AT_ONCE = 256  # radii that the host computes without a program; it takes a third of a millisecond for each
 
 
@@ -62,15 +62,15 @@ class TargetState(Record):
 
     def circular_error(self, probability: ArrayLike) -> Any:
         """Radius in m of the horizontal circle about the position that contains the target with a probability."""
-        return _radii(circular_radius, self.cov_enu, probability)
+        return _radii(self.cov_enu, HORIZONTAL, probability)
 
     def linear_error(self, probability: ArrayLike) -> Any:
         """Height in m above and below the position that contains the target with a probability."""
-        return _radii(linear_radius, self.cov_enu, probability)
+        return _radii(self.cov_enu, VERTICAL, probability)
 
     def spherical_error(self, probability: ArrayLike) -> Any:
         """Radius in m of the sphere about the position that contains the target with a probability."""
-        return _radii(spherical_radius, self.cov_enu, probability)
+        return _radii(self.cov_enu, ALL_AXES, probability)
 
     def __getitem__(self, index: Any) -> TargetState:
         """One or several of many."""
@@ -145,17 +145,17 @@ class Track(Record):
     @property
     def overconfidence(self) -> Any:
         """Actual CE90 of the filter of independent looks, divided by the CE90 that it claims, after each look (n,)."""
-        return _radii(circular_radius, self.actual_enu, 0.9) / self.independent.ce90
+        return _radii(self.actual_enu, HORIZONTAL, 0.9) / self.independent.ce90
 
     @property
     def actual_ce90(self) -> Any:
         """Actual CE90 of the filter of independent looks after each look, m (n,)."""
-        return _radii(circular_radius, self.actual_enu, 0.9)
+        return _radii(self.actual_enu, HORIZONTAL, 0.9)
 
     @property
     def floor_ce90(self) -> Any:
         """CE90 in m of `floor_enu`."""
-        return _radii(circular_radius, self.floor_enu, 0.9)
+        return _radii(self.floor_enu, HORIZONTAL, 0.9)
 
     @property
     def size(self) -> Size | None:
@@ -258,13 +258,10 @@ class Track(Record):
         return lines
 
 
-def _radii(radius: Any, cov_enu: Any, probability: ArrayLike) -> Any:
-    """Radii of one or many covariances, in blocks of few sizes."""
-    cov = np.asarray(cov_enu)
-    if cov.ndim != 3:
-        return np.asarray(radius(cov, probability, np.zeros(cov.shape[:-1])))
-    count = len(cov)
-    size = block_size(count) if count > AT_ONCE else min(block_size(count), MOST)
-    blocks = [np.minimum(np.arange(first, first + size), count - 1) for first in range(0, count, size)]
-    radii = [np.asarray(radius(cov[index], probability, np.zeros((size, 3)))) for index in blocks]
-    return np.concatenate(radii)[:count]
+def _radii(cov_enu: Any, axes: slice, probability: ArrayLike) -> Any:
+    """Radii of some axes of one or many covariances."""
+    level_of(probability)
+    cov = np.asarray(cov_enu)[..., axes, axes]
+    return radii_of_many(
+        cov, np.asarray(probability), np.zeros(cov.shape[:-1]), is_few=cov.size // cov.shape[-1] ** 2 <= AT_ONCE
+    )
