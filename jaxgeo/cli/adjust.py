@@ -6,7 +6,7 @@ import filecmp
 import pathlib
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -107,20 +107,8 @@ def adjust_command(
         on_map.check()
         if report:
             check_report()
-        if not given.are_several:
-            if not files[0].exists() and ":" not in f"{files[0]}":
-                raise UserError(f"{files[0]}: there is no such file or folder.")
-            raise UserError(
-                f"{files[0]}: adjust needs two images or more; give a folder of images, or a file of poses with "
-                f"--images FOLDER."
-            )
-        from jaxgeo.io.paths import files_behind
-
-        maps = [] if on_map.reference is None else files_behind(on_map.reference, reading_dem.reach)
-        read_files = [*given.inputs, *maps, *terrain_files(dem, reading_dem), *of_control.files]
-        check_no_input("--output", [output / name for name in FILES], read_files)
-        of_mosaic.check_no_input(read_files)
-        check_writable(output)
+        _check_several(given)
+        _check_outputs(given, dem, output, of_mosaic, of_control, on_map, reading_dem)
         began = time.perf_counter()
         compile_quickly()
         how = _matching(dem_sigma, least_correlation, points)
@@ -130,14 +118,11 @@ def adjust_command(
         from jaxgeo.ties import KeptMatches as Kept
 
         surveyed = of_control.read()
-        views, paths, assumed, errors = _read(given)
+        block = _read(given)
+        views, paths = block.views, block.paths
         of_mosaic.check_no_input(paths)
-        control = None if surveyed is None else of_control.control(surveyed, views, assumed)
-        if output.resolve() in {path.resolve().parent for path in paths}:
-            raise UserError(
-                f"--output {output}: the images are there; give another folder, such as {output / 'adjusted'}."
-            )
-        _check_sizes(views, paths, reading_dem)
+        _check_images(block, output, reading_dem)
+        control = None if surveyed is None else of_control.control(surveyed, views, block.assumed)
         chosen = [] if on_map.reference is None else rows_to_register(views, on_map)
         exposures = views.exposure
         terrain = read_terrain(
@@ -147,35 +132,73 @@ def adjust_command(
         ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
-        found, written, mosaic, of_map = None, [], None, None
+        found, written, more = None, [], {}
         if control is not None or (ties.observations is not None and len(ties.parts[0]) > 1):
+            of_map = None
             if chosen:
                 read = partial(_image, paths, reading_dem)
-                of_map = registered_to(views, chosen, read, errors, terrain, dem_sigma, on_map, reading_dem.reach)
-                assumed = [*assumed, *of_map.assumed]
+                of_map = registered_to(views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach)
+                more["registrations"] = of_map.outcomes
                 for one in of_map.assumed:
+                    block.assumed.append(one)
                     print_note(f"assumed: {one}")
             with working("adjusting"):
-                unknowns = _interior(views, errors) if self_calibrate else None
+                unknowns = _interior(views, block.errors) if self_calibrate else None
                 found = _corrected(views, ties, unknowns, control, None if of_map is None else of_map.control)
             written = write_files(output, found, crs)
             if report:
-                written.append(write_page(output, found, terrain, inputs, assumed))
+                written.append(write_page(output, found, terrain, inputs, block.assumed))
             written = [f"{output / name}" for name in written]
             if of_mosaic.mosaic is not None:
-                mosaic = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
-                written.append(mosaic["file"])
-        content = content_of(views, ties, found, written, time.perf_counter() - began)
-        if of_map is not None:
-            content["registrations"] = of_map.outcomes
-        if mosaic is not None:
-            content["mosaic"] = mosaic
+                more["mosaic"] = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
+                written.append(more["mosaic"]["file"])
+        content = content_of(views, ties, found, written, time.perf_counter() - began) | more
         if as_json:
-            print_json("adjust", {"inputs": inputs, "assumed": assumed, **content})
+            print_json("adjust", {"inputs": inputs, "assumed": block.assumed, **content})
         else:
             print_summary(content, found)
     if found is None:
         raise typer.Exit(NO_ANSWER)
+
+
+class Block(NamedTuple):
+    """The images with their navigation, their files, what is assumed of them, and their errors."""
+
+    views: Views
+    paths: list[pathlib.Path]
+    assumed: list[str]
+    errors: list[Any]
+
+
+def _check_several(given: OrientedImages) -> None:
+    """Raises `UserError` for one image."""
+    first = given.files[0]
+    if given.are_several:
+        return
+    if not first.exists() and ":" not in f"{first}":
+        raise UserError(f"{first}: there is no such file or folder.")
+    raise UserError(
+        f"{first}: adjust needs two images or more; give a folder of images, or a file of poses with --images FOLDER."
+    )
+
+
+def _check_outputs(
+    given: OrientedImages,
+    dem: list[Any],
+    output: pathlib.Path,
+    of_mosaic: MosaicOptions,
+    of_control: ControlOptions,
+    on_map: MapOptions,
+    reading_dem: DemOptions,
+) -> None:
+    """Raises `UserError` for results that would overwrite an input, or cannot be written."""
+    from jaxgeo.io.paths import files_behind
+
+    maps = [] if on_map.reference is None else files_behind(on_map.reference, reading_dem.reach)
+    read_files = [*given.inputs, *maps, *terrain_files(dem, reading_dem), *of_control.files]
+    check_no_input("--output", [output / name for name in FILES], read_files)
+    of_mosaic.check_no_input(read_files)
+    check_writable(output)
 
 
 def _check_map(crs: str | None) -> None:
@@ -191,8 +214,8 @@ def _check_map(crs: str | None) -> None:
         raise UserError(f"{error}".removeprefix(": ").replace("crs = ", "--crs ", 1)) from error
 
 
-def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path], list[str], list[Any]]:
-    """(the images with their navigation, their files, what is assumed, their errors). Raises `UserError`."""
+def _read(given: OrientedImages) -> Block:
+    """The images, without copies. Raises `UserError` for fewer than two."""
     from jaxgeo.ties import Views
 
     observed, paths = given.read()
@@ -207,9 +230,10 @@ def _read(given: OrientedImages) -> tuple[Views, list[pathlib.Path], list[str], 
     names = [str(observed.columns[row].get("name", row)) for row in rows]
     try:
         errors = [errors for _, errors in each]
-        return Views.of(names, [one.exposure for one, _ in each], errors), [paths[k] for k in rows], assumed, errors
+        views = Views.of(names, [one.exposure for one, _ in each], errors)
     except (TypeError, ValueError) as error:
         raise UserError(f"{observed.source}: {error}") from error
+    return Block(views, [paths[row] for row in rows], assumed, errors)
 
 
 def _without_copies(rows: list[int], paths: list[pathlib.Path]) -> list[int]:
@@ -282,17 +306,20 @@ def _matching(dem_sigma: float, least_correlation: float, points: int) -> Matchi
         raise UserError(_as_options(f"{error}")) from error
 
 
-def _check_sizes(views: Views, paths: list[pathlib.Path], reading: DemOptions) -> None:
-    """Raises `UserError` for images that are missing, unreadable, or not of the size of their cameras, by headers."""
+def _check_images(block: Block, output: pathlib.Path, reading: DemOptions) -> None:
+    """Raises `UserError` for images in the output folder, and for those that are missing, unreadable, or not of the
+    size of their cameras, by headers."""
     from jaxgeo.io.images import check_size, opened
     from jaxgeo.io.reach import Reach
 
+    if output.resolve() in {path.resolve().parent for path in block.paths}:
+        raise UserError(f"--output {output}: the images are there; give another folder, such as {output / 'adjusted'}.")
     reach = Reach(bool(reading.allow_remote), bool(reading.allow_outside))
-    for row, path in enumerate(paths):
+    for row, path in enumerate(block.paths):
         with translate_reach_errors(), opened(f"{path}", reach) as data:
             shape = data.shape
         try:
-            check_size(f"{path}", shape, views.camera_of(row))
+            check_size(f"{path}", shape, block.views.camera_of(row))
         except ValueError as error:
             raise UserError(f"{error}".replace("the camera of the scene", "its camera")) from error
 
