@@ -94,7 +94,7 @@ def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Pat
         assert words in refused.stderr
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_overlap_on_level_ground_is_by_the_length_of_the_image(tmp_path: pathlib.Path) -> None:
     """Straight down over level ground, images of one flight share all but the way between them."""
     even = str(log(tmp_path, ("31.000", "32.000", "33.000"), (0, 0, 0)))
