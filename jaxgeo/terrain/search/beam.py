@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._numerics import cross, dot
 from jaxgeo._record import Record
-from jaxgeo._typing import Flag, Matrix3, Scalar, ScalarField, Vector3Field
+from jaxgeo._typing import Flag, Matrix3, Pixel, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.local_map import Line, LocalMap
 from jaxgeo.terrain.search.reach import CEILING_MARGIN, reach_of
@@ -61,9 +61,9 @@ class Beam(Record):
         first = jnp.clip(dem_reach.start - 2.0 * margin, 0.0, distance)
         step = (distance - first) / PLACES
         places = first + step * jnp.arange(PLACES)
-        clear = jax.vmap(lambda place: _is_clear(ray, dem, spread, place, step))(places)
+        clear, height = jax.vmap(lambda place: _is_clear(ray, dem, spread, place, step))(places)
         ahead = jnp.cumsum(~clear) == 0
-        is_covered = (first == 0.0) | (_lowest(ray, dem, spread, first) > dem.ceiling + spread.rise)
+        is_covered = (first == 0.0) | (height[0] - _radius(spread, first) > dem.ceiling + spread.rise)
         start = jnp.where(is_covered & ahead[0], first + step * (jnp.sum(ahead) - 1), 0.0)
         length = 2.0 * (distance - start + jnp.max(dem.grid.cell_size()))
         # position along the axis that every ray has reached at the range `start`
@@ -156,22 +156,22 @@ def _radius(spread: Spread, distance: Scalar) -> Scalar:
     return spread.origin + distance * spread.direction
 
 
-def _is_clear(ray: Ray, dem: Dem, spread: Spread, place: Scalar, step: Scalar) -> Flag:
-    """Whether the cone, half a step before to half a step after a range, is over the grid and above the ground."""
+def _is_clear(ray: Ray, dem: Dem, spread: Spread, place: Scalar, step: Scalar) -> tuple[Flag, Scalar]:
+    """Whether the cone, half a step before to half a step after a range, is over the grid and above the ground; and the
+    height in m of its middle there."""
     radius = _radius(spread, place + 0.5 * step) + 0.5 * step
-    rowcol, height = dem.over(ray.at(place))
-    slopes = jax.jacfwd(lambda p: dem.over(p)[0])(ray.at(place))
+
+    def over(point: Vector3) -> tuple[Pixel, tuple[Pixel, Scalar]]:
+        rowcol, height = dem.over(point)
+        return rowcol, (rowcol, height)
+
+    slopes, (rowcol, height) = jax.jacfwd(over, has_aux=True)(ray.at(place))
     half = BENT * radius * jnp.sqrt(jnp.sum(slopes**2, axis=1))
     low, high = rowcol - half, rowcol + half
     is_inside = jnp.all(low >= 0.0) & jnp.all(high <= (jnp.asarray(dem.extent) - 1).astype(jnp.float64))
     level = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(2.0 * jnp.max(half), 1.0))), 0, WIDEST).astype(jnp.int32)
     row, col = (jnp.right_shift(jnp.floor(x).astype(jnp.int32), level) for x in jnp.where(is_inside, low, 0.0))
-    return is_inside & (height - radius > dem.pyramid.bound(level, row, col) + spread.rise)
-
-
-def _lowest(ray: Ray, dem: Dem, spread: Spread, distance: Scalar) -> Scalar:
-    """Lowest height in m of the cone at a range."""
-    return dem.over(ray.at(distance))[1] - _radius(spread, distance)
+    return is_inside & (height - radius > dem.pyramid.bound(level, row, col) + spread.rise), height
 
 
 def _slope_of_height(ray: Ray, dem: Dem, distance: Scalar) -> Scalar:
