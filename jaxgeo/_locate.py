@@ -81,7 +81,7 @@ def intersect(
     ray = as_float64(Ray(as_array(ray.origin, "ray.origin"), as_array(ray.direction, "ray.direction")), "ray")
     check_ray(ray)
     fix, _ = met_apart(ray, Status.hit.code, terrain, search, air)
-    return thrown(fix) if throw else fix
+    return thrown(fix, lambda: ray.origin, terrain) if throw else fix
 
 
 @accepts_observation
@@ -129,7 +129,7 @@ def locate(
     if throw:
         check_on_image(looked[0], looked[-1])
     fix = _locate(*looked, terrain, search, checked_air(atmosphere))
-    return thrown(fix) if throw else fix
+    return thrown(fix, lambda: _line_of_sight(*looked)[0].origin, terrain) if throw else fix
 
 
 @accepts_observation

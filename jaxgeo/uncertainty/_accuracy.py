@@ -116,7 +116,7 @@ def accuracy(
 def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: AbstractSearch, sampling: Any) -> Accuracy:
     """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
     nominal = inputs.nominal_fix(search)
-    nominal.require_fix()
+    nominal.require_fix(inputs)
     model.check_at(nominal)
     return accuracy_about(inputs, nominal, model, level, search, sampling)
 

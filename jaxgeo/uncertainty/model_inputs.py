@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation
+from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation, reason
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
@@ -94,11 +94,12 @@ class NominalFix(NamedTuple):
         offset = jnp.where(found, p_ecef - self.p_ecef, 0.0)
         return matvec(self.R_ecef_from_enu.T, offset), status
 
-    def require_fix(self) -> None:
+    def require_fix(self, inputs: ModelInputs) -> None:
         """Raise `ValueError` unless there is a fix on the first ground met; not for traced input."""
         if not have_fix(self.fix.status):
-            status = Status(int(self.fix.status))
-            raise ValueError(f"cannot estimate accuracy, there is no fix: {status.name}: {status.message}")
+            origin = lambda: _nominal_sightline(inputs).ray.origin  # noqa: E731
+            why = reason(Status(int(self.fix.status)), origin, inputs.terrain)
+            raise ValueError(f"cannot estimate accuracy, there is no fix: {why}")
 
 
 if TYPE_CHECKING:
