@@ -148,14 +148,14 @@ def check_throw(throw: bool, arguments: Any) -> None:
 
 
 def thrown(fix: Fix, origin: Callable[[], Vector3], terrain: AbstractTerrain) -> Fix:
-    """The fix if it is a hit; otherwise raises `ValueError` with its status, and what `reason` says."""
+    """The fix if it is a hit; otherwise raises `ValueError` with its status (`no_fix_because`)."""
     status = Status(int(np.asarray(fix.status)))
     if status is not Status.hit:
-        raise ValueError(reason(status, origin, terrain))
+        raise ValueError(no_fix_because(status, origin, terrain))
     return fix
 
 
-def reason(status: Status, origin: Callable[[], Vector3], terrain: AbstractTerrain) -> str:
+def no_fix_because(status: Status, origin: Callable[[], Vector3], terrain: AbstractTerrain) -> str:
     """A status as a sentence; of a camera below the terrain with both heights (`origin` gives it in ECEF m)."""
     words = f"{status.name}: {status.message}"
     if status is not Status.camera_below_terrain:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation, reason
+from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation, no_fix_because
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
@@ -98,7 +98,7 @@ class NominalFix(NamedTuple):
         """Raise `ValueError` unless there is a fix on the first ground met; not for traced input."""
         if not have_fix(self.fix.status):
             origin = lambda: _nominal_sightline(inputs).ray.origin  # noqa: E731
-            why = reason(Status(int(self.fix.status)), origin, inputs.terrain)
+            why = no_fix_because(Status(int(self.fix.status)), origin, inputs.terrain)
             raise ValueError(f"cannot estimate accuracy, there is no fix: {why}")
 
 
