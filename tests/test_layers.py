@@ -72,7 +72,7 @@ STATIC_NUMPY = {
     (
         "jaxgeo/_arguments.py",
         "heights_of_camera_and_ground",
-    ): "is called of a fix that is thrown, and by the command line",
+    ): "is called for a fix that is thrown, and on the host",
     ("jaxgeo/_compile.py", "Batches._found"): "runs a program on the values of a vmap that is called directly",
     ("jaxgeo/demo/scene.py", "_middle"): "uses the image size, static fields of the camera",
     ("jaxgeo/rotations.py", "_product_of_turns"): "uses NumPy where `by_numpy_if_known` passes it",
