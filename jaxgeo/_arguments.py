@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_is, concrete, is_known, require_x64
-from jaxgeo._typing import Pixel, Scalar
+from jaxgeo._typing import Pixel, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
@@ -147,9 +147,30 @@ def check_throw(throw: bool, arguments: Any) -> None:
         )
 
 
-def thrown(fix: Fix) -> Fix:
-    """The fix if it is a hit; otherwise raises `ValueError` with its status."""
+def thrown(fix: Fix, origin: Callable[[], Vector3], terrain: AbstractTerrain) -> Fix:
+    """The fix if it is a hit; otherwise raises `ValueError` with its status (`no_fix_because`)."""
     status = Status(int(np.asarray(fix.status)))
     if status is not Status.hit:
-        raise ValueError(f"{status.name}: {status.message}")
+        raise ValueError(no_fix_because(status, origin, terrain))
     return fix
+
+
+def no_fix_because(status: Status, origin: Callable[[], Vector3], terrain: AbstractTerrain) -> str:
+    """A status as a sentence; of a camera below the terrain with both heights (`origin` gives it in ECEF m)."""
+    words = f"{status.name}: {status.message}"
+    if status is not Status.camera_below_terrain:
+        return words
+    at = WGS84.to_geodetic(origin())
+    both = heights_of_camera_and_ground(at, terrain)
+    return words if both is None else f"{words} {both}"
+
+
+def heights_of_camera_and_ground(camera: Geodetic, terrain: AbstractTerrain) -> str | None:
+    """Heights of a camera and of the ground below it as a sentence; None where the ground is unknown."""
+    height, ground = float(camera.height), float(np.asarray(terrain.height_at(camera)))
+    if not np.isfinite(ground):
+        return None
+    return (
+        f"The camera is at {height:.1f} m, the ground at {ground:.1f} m above the ellipsoid, {ground - height:.1f} m "
+        "higher."
+    )

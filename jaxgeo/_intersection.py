@@ -155,6 +155,12 @@ def visibility(
     return _seen_before(origin, p_ecef, fix, bracket, tolerance, air)
 
 
+def hidden_or(status: StatusCode, visible: StatusCode) -> StatusCode:
+    """A status without terrain, and the visibility over terrain, as one: the terrain hides what the Earth does, too."""
+    by_both = (status == Status.below_horizon) & (visible == Status.hidden_by_terrain)
+    return jnp.where(by_both, visible, first_failure(status, visible))
+
+
 @quick_jit
 def _ray_towards(origin: Vector3, p_ecef: Vector3, air: Atmosphere | None) -> Ray:
     line = _line_towards(origin, p_ecef, air)

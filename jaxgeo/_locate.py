@@ -22,6 +22,7 @@ from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._compile import is_direct, quick_jit
 from jaxgeo._intersection import (
     FIRST_HIT,
+    hidden_or,
     masked,
     met_apart,
     met_by,
@@ -32,6 +33,7 @@ from jaxgeo._intersection import (
 )
 from jaxgeo._numerics import all_finite, finite_or, tree_where
 from jaxgeo._typing import Pixel, Scalar, StatusCode, Vector3
+from jaxgeo.earth._horizon import hidden_by_earth
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
@@ -79,7 +81,7 @@ def intersect(
     ray = as_float64(Ray(as_array(ray.origin, "ray.origin"), as_array(ray.direction, "ray.direction")), "ray")
     check_ray(ray)
     fix, _ = met_apart(ray, Status.hit.code, terrain, search, air)
-    return thrown(fix) if throw else fix
+    return thrown(fix, lambda: ray.origin, terrain) if throw else fix
 
 
 @accepts_observation
@@ -127,7 +129,7 @@ def locate(
     if throw:
         check_on_image(looked[0], looked[-1])
     fix = _locate(*looked, terrain, search, checked_air(atmosphere))
-    return thrown(fix) if throw else fix
+    return thrown(fix, lambda: _line_of_sight(*looked)[0].origin, terrain) if throw else fix
 
 
 @accepts_observation
@@ -175,8 +177,9 @@ def project(
     """Image point (pixel) of a ground point; the inverse of `locate`.
 
     `point` is one position (rad, m above the ellipsoid), on the ground or not. The result is a `Projection`: `uv` =
-    (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, or `hit`. An
-    `atmosphere` refracts the line of sight by the same model as in `locate`.
+    (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, `below_horizon` (the
+    Earth is in the way, whatever the terrain; `uv` is kept), or `hit`. An `atmosphere` refracts the line of sight by
+    the same model as in `locate`.
 
     On a `Trajectory`, with the `time` of the image in s (default 0), a camera that exposes row by row images the point
     at a time that is solved for together with the pixel. If there are several such times (a line that swings back), the
@@ -289,12 +292,14 @@ def _image_of(
     uv, status, origin = image_of_point(sensor, shot, time, p_ecef, air)
     status = status_where(~is_valid, Status.invalid_input, status)
     has_image = (status == Status.hit) | (status == Status.outside_image)
+    is_hidden = (status == Status.hit) & hidden_by_earth(origin, p_ecef)
+    status = status_where(is_hidden, Status.below_horizon, status)
     return Projection(jnp.where(has_image, uv, jnp.nan), status), origin, p_ecef
 
 
 @quick_jit
 def _unless_hidden(seen: Projection, visible: StatusCode) -> Projection:
-    return Projection(seen.uv, first_failure(jnp.asarray(seen.status), visible))
+    return Projection(seen.uv, hidden_or(jnp.asarray(seen.status), visible))
 
 
 @quick_jit

@@ -41,6 +41,7 @@ class Status(enum.IntEnum):
     too_few_rays = 20
     weak_intersection = 21
     file_not_read = 22
+    below_horizon = 23
 
     @property
     def message(self) -> str:
@@ -77,6 +78,7 @@ _MESSAGES = {
     Status.too_few_rays: "Fewer than two rays are used: the distance of the point is undetermined.",
     Status.weak_intersection: "The rays are too nearly parallel to intersect within their errors.",
     Status.file_not_read: "The file of the exposure could not be read; its row states the reason.",
+    Status.below_horizon: "The Earth hides the point from the camera: it is below the horizon, whatever the terrain.",
 }
 
 

@@ -148,6 +148,15 @@ def test_point_along_a_line_of_sight() -> None:
 
 
 @pytest.mark.costly
+def test_point_at_the_other_side_of_the_earth_without_a_dem() -> None:
+    """An exchanged latitude and longitude: never a success."""
+    result = run("point", "--scene", scene_file(), "--target", "-84.2,36.3,400", "--target-datum", "ellipsoid")
+    assert result.exit_code == 1, result.output
+    assert Status.below_horizon.message in result.stderr
+    assert "is it LON,LAT?" in result.stderr
+
+
+@pytest.mark.costly
 def test_point_out_of_range_tells_the_nearest() -> None:
     """60 deg above the horizon: the frame of two axes comes as far as the plane of its base."""
     result = run("point", "--scene", scene_file(), "--line-of-sight", "250,-60")

@@ -84,6 +84,15 @@ def test_the_table_on_the_screen_fits_and_says_the_status(tmp_path: pathlib.Path
     assert "hit" in result.stdout
 
 
+@pytest.mark.costly
+@pytest.mark.parametrize("sigmas", [[], ["--dem-sigma", "2"]])
+def test_a_camera_below_the_ground_is_told_with_both_heights(image: pathlib.Path, sigmas: list[str]) -> None:
+    """The image is 700 m above the ellipsoid."""
+    result = run(image, "--camera-datum", "ellipsoid", "--ground", "845", "--dem-datum", "ellipsoid", *sigmas)
+    assert result.exit_code == 1, result.output
+    assert "camera is at 700.0 m, the ground at 845.0 m above the ellipsoid, 145.0 m higher." in result.stderr
+
+
 @pytest.mark.slow
 def test_what_is_typed_takes_the_place_of_what_is_assumed(image: pathlib.Path) -> None:
     sigmas = ["--position-sigma", "0", "--gimbal-sigma", "0.5", "--dem-sigma", "0", "--focal-sigma", "0px"]

@@ -69,6 +69,10 @@ STATIC_NUMPY = {
     ("jaxgeo/_checks.py", "_leaf_as_float64"): "takes the dtype of a Python number",
     ("jaxgeo/_arguments.py", "check_on_image"): "uses the image size, static fields of the camera",
     ("jaxgeo/_arguments.py", "thrown"): "is called with throw=True only, which check_throw refuses for traced values",
+    (
+        "jaxgeo/_arguments.py",
+        "heights_of_camera_and_ground",
+    ): "is called for a fix that is thrown, and on the host",
     ("jaxgeo/_compile.py", "Batches._found"): "runs a program on the values of a vmap that is called directly",
     ("jaxgeo/demo/scene.py", "_middle"): "uses the image size, static fields of the camera",
     ("jaxgeo/rotations.py", "_product_of_turns"): "uses NumPy where `by_numpy_if_known` passes it",

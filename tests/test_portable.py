@@ -82,7 +82,8 @@ def filled(cls: type) -> Any:
     """An object with numbers of many digits in every field: arrays of NumPy where it says so, else of JAX in records,
     and bare ones where the fields are of JAX."""
     number = np.asarray([np.pi, np.nextafter(6378137.0, 7e6), -0.0, 5e-324])
-    place = jaxgeo.Geodetic(lat=jnp.asarray(number), lon=jnp.asarray(-number), height=jnp.asarray(2.0 * number))
+    angle = np.asarray([np.nextafter(0.5 * np.pi, 0.0), 1.0 / 3.0, -0.0, 5e-324])
+    place = jaxgeo.Geodetic(lat=jnp.asarray(angle), lon=jnp.asarray(-angle), height=jnp.asarray(2.0 * number))
     values: dict[str, Any] = {}
     for name, kind in annotations_of(cls).items():
         if "ndarray" in kind:

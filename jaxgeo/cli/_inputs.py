@@ -132,8 +132,10 @@ def datum(text: str | None) -> str | float | None:
 
 def as_datum(text: str) -> str | float:
     """A datum from the command line, as in scene files: a number is an undulation in m."""
+    from jaxgeo.io.datum_names import known_datum
+
     number = number_in(text)
-    return text if number is None else number
+    return known_datum(text) if number is None else number
 
 
 def shot_of(scene: jaxgeo.io.scene.Scene, path: pathlib.Path, needed_by: str) -> Shot:

@@ -6,14 +6,25 @@ import contextlib
 from collections.abc import Container, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 import typer
 
+from jaxgeo._arguments import heights_of_camera_and_ground
 from jaxgeo.cli._common import FAULT, NO_ANSWER
 from jaxgeo.cli._locate_inputs import LocateInputs
-from jaxgeo.cli._screen import NumberTable, bars_on_stderr, number_table, print_message, progress_bar, working
+from jaxgeo.cli._screen import (
+    NumberTable,
+    bars_on_stderr,
+    number_table,
+    print_message,
+    print_note,
+    progress_bar,
+    working,
+)
 from jaxgeo.fix import Fix
-from jaxgeo.terrain import Dem
+from jaxgeo.status import Status
+from jaxgeo.terrain import ConstantHeight, Dem
 from jaxgeo.uncertainty import Accuracy
 
 if TYPE_CHECKING:
@@ -131,6 +142,9 @@ def exit_without_fix(inputs: LocateInputs, fixes: Fix) -> None:
 
     Exits with code 70 if a file could not be read because of an internal error.
     """
+    below = below_terrain(inputs, fixes)
+    if below is not None:
+        print_note(below)
     if inputs.has_faults:
         raise typer.Exit(FAULT)
     if np.isfinite(fixes.slant_range).any():
@@ -138,6 +152,20 @@ def exit_without_fix(inputs: LocateInputs, fixes: Fix) -> None:
     why = camera_outside_dem(inputs)
     print_message("no pixel has a fix" + (f": {why}." if why else "."))
     raise typer.Exit(NO_ANSWER)
+
+
+def below_terrain(inputs: LocateInputs, fixes: Fix) -> str | None:
+    """Heights of the first camera that is below the terrain, and of the ground there; None if there is none."""
+    for batch, terrain in zip(inputs.observed.batches, inputs.grounds, strict=True):
+        (below,) = np.nonzero(np.asarray(fixes.status)[batch.rows] == Status.camera_below_terrain)
+        if not below.size or not isinstance(terrain, Dem | ConstantHeight):
+            continue
+        first = int(below[0])
+        at = lambda x, first=first: np.asarray(x)[first] if np.ndim(x) else x  # noqa: E731
+        position = jax.tree.map(at, batch.shots.pose.position)
+        ground = jax.tree.map(at, terrain) if isinstance(terrain, ConstantHeight) else terrain
+        return heights_of_camera_and_ground(position, ground)
+    return None
 
 
 def camera_outside_dem(inputs: LocateInputs) -> str | None:

@@ -60,7 +60,8 @@ def point_command(
 ) -> None:
     """Gimbal readings that point a pixel at a ground point, or along a line of sight, from a pose.
 
-    The exit code is 1 if the target is outside the gimbal range (the nearest readings are given) or hidden by terrain.
+    The exit code is 1 if the target is outside the gimbal range (the nearest readings are given), hidden by terrain, or
+    below the horizon.
     """
     inputs = given_options(locals())
     with report_errors(debug):
@@ -210,6 +211,8 @@ def _print_readings(names: tuple[str, ...], found: Any, unhidden: str | None, as
     meaning = status_words(status, unhidden)["status_text"]
     if status != Status.hit or not is_quiet():
         stderr().print(f"{status.name}: {meaning}", highlight=False, soft_wrap=True)
+    if status == Status.below_horizon:
+        stderr().print("Check --target: expected LAT,LON; is it LON,LAT?", highlight=False, soft_wrap=True)
     if status == Status.outside_gimbal_range:
         off = f"pointing error {np.rad2deg(float(found.miss)):.4f} deg"
         stderr().print(off, highlight=False, soft_wrap=True)

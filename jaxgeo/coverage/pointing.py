@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._compile import batch_filter_jit, quick_filter_jit
-from jaxgeo._intersection import FIRST_HIT, visibility
+from jaxgeo._intersection import FIRST_HIT, hidden_or, visibility
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, StatusCode, StatusField
@@ -25,7 +25,7 @@ from jaxgeo.sensor.gimbal import ReadingsField
 from jaxgeo.sensor.line_of_sight import LineOfSight, Target
 from jaxgeo.sensor.pointing import check_axes, for_each_knot
 from jaxgeo.sensor.root_finder import check_solver
-from jaxgeo.status import Status, first_failure
+from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 
 HIDDEN_TOLERANCE = 0.01  # m: ground this far before the target hides it
@@ -35,9 +35,10 @@ class Pointing(Record):
     """Pointing solution: gimbal `readings` in rad, pointing error `miss` in rad, and a `Status`.
 
     `hit`; `hidden_by_terrain` (the readings are valid, but nearer ground is in the way), or why visibility is
-    undecided; `outside_gimbal_range` (the readings are the nearest within the limits, `miss` their pointing error; with
-    long lever arms and a target at 50 m, other readings on the limits may be some 1e-5 rad nearer). With any other
-    status, such as `not_converged` of a given solver, the readings are NaN.
+    undecided; `below_horizon` (the readings are valid, but the Earth is in the way, whatever the terrain);
+    `outside_gimbal_range` (the readings are the nearest within the limits, `miss` their pointing error; with long lever
+    arms and a target at 50 m, other readings on the limits may be some 1e-5 rad nearer). With any other status, such as
+    `not_converged` of a given solver, the readings are NaN.
     """
 
     readings: ReadingsField
@@ -158,7 +159,7 @@ def _judged(
     """The pointing solution with its visibility over the terrain."""
     status = found.status
     if terrain is not None and isinstance(target, Geodetic):
-        status = first_failure(status, _in_sight(sensor, pose, target, found.readings, terrain, air))
+        status = hidden_or(status, _in_sight(sensor, pose, target, found.readings, terrain, air))
     return Pointing(found.readings, found.miss, status)
 
 

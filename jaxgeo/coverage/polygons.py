@@ -49,8 +49,9 @@ class VisibleGround(Record):
 
     @property
     def hidden_share(self) -> float:
-        """Share of the ground within the outline that is hidden by nearer ground."""
-        return float(np.mean(np.asarray(self.status) == Status.hidden_by_terrain))
+        """Share of the ground within the outline that is hidden by nearer ground or the Earth."""
+        hidden = (Status.hidden_by_terrain, Status.below_horizon)
+        return float(np.mean(np.isin(np.asarray(self.status), hidden)))
 
 
 def polygon_overlap(before: Footprint, after: Footprint) -> float:

@@ -1,6 +1,8 @@
-"""Distance and dip of the horizon, with or without refraction."""
+"""Distance and dip of the horizon, with or without refraction, and points that the Earth hides."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -9,9 +11,12 @@ from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, ScalarLike
 from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.refraction import MEAN_RADIUS, arc_between
 
 VACUUM = Atmosphere(refractivity=0.0)
+LOWEST = 500.0  # m below the ellipsoid: no land or sea surface is lower (Dead Sea: 420 m)
+LIFT = 0.25  # share of the Earth's curvature that refraction takes back at most; 0.13 is usual
 
 
 class Horizon(Record):
@@ -68,6 +73,22 @@ def sight_range(
     """
     here, there = (horizon(h, ground=ground, atmosphere=atmosphere, radius=radius) for h in (height, target_height))
     return here.distance + there.distance
+
+
+def hidden_by_earth(origin: Any, p_ecef: Any, xp: Any = jnp) -> Any:
+    """Whether the Earth lies between an origin and a point (3,), ECEF m, whatever terrain and refraction there may be.
+
+    So it is where the straight line comes more than 500 m, and what refraction can lift it, below the ellipsoid, or
+    below the lower of its ends if that is deeper. False for numbers that are not finite. By NumPy with `xp=numpy`.
+    """
+    semi = xp.asarray([WGS84.a, WGS84.a, WGS84.b])
+    start, end = origin / semi, p_ecef / semi  # lowest where the line is nearest to the centre of the unit sphere
+    along = end - start
+    squared = xp.sum(along * along)
+    share = xp.clip(-xp.sum(start * along) / xp.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
+    lowest, *ends = (xp.sqrt(xp.sum(x * x)) for x in (start + share * along, start, end))
+    depth = WGS84.a * (xp.minimum(1.0, xp.minimum(*ends)) - lowest)
+    return depth > LOWEST + LIFT * WGS84.a * squared / 8.0
 
 
 def _check_above(high: Scalar, low: Scalar) -> None:

@@ -11,6 +11,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.transformer import Transformer
 
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
+from jaxgeo.io.datum_names import is_ellipsoid, known_datum, why_unclear
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.vertical import HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
 
@@ -130,9 +131,9 @@ def _vertical(name: str, crs: pyproj.CRS, heights: Any) -> pyproj.CRS | None:
     stated = vertical_part(crs)
     if heights is None:
         return None if stated is None or not stated.is_vertical else stated
-    is_ellipsoid = isinstance(heights, str) and heights.strip().lower() == "ellipsoid"
-    meant = None if is_ellipsoid else vertical_part(_named(name, heights))
-    if not is_ellipsoid and meant is None:
+    heights, is_above_ellipsoid = known_datum(heights), is_ellipsoid(heights)
+    meant = None if is_above_ellipsoid else vertical_part(_named(name, heights))
+    if not is_above_ellipsoid and meant is None:
         raise ValueError(f"{name}: heights = {heights!r} says nothing about heights; a vertical CRS is expected.")
     meant = meant if meant is not None and meant.is_vertical else None
     if stated is not None:
@@ -148,6 +149,9 @@ def _vertical(name: str, crs: pyproj.CRS, heights: Any) -> pyproj.CRS | None:
 
 def _named(name: str, heights: Any) -> pyproj.CRS:
     """A CRS that names heights; a number or grid path could convert them, but cannot be named in the file."""
+    unclear = why_unclear(heights)
+    if unclear is not None:
+        raise ValueError(f"{name}: heights = {heights!r} {unclear}.")
     try:
         return _known(name, "heights", heights)
     except (ValueError, TypeError) as error:

@@ -14,6 +14,7 @@ from pyproj.enums import TransformDirection
 from pyproj.transformer import Transformer
 
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, how_to_get, known_crs, operation
+from jaxgeo.io.datum_names import ELLIPSOID, is_ellipsoid, known_datum, why_unclear
 from jaxgeo.io.errors import A_WRONG_GUESS, VerticalDatumError
 from jaxgeo.io.geoid_grid import check_grids_of, grid_by_path, wrapped
 
@@ -154,10 +155,13 @@ def is_depth(crs: pyproj.CRS | None) -> bool:
 
 def _understood(asked: Any) -> str | float | pathlib.Path | pyproj.CRS:
     """The caller's datum as "ellipsoid", an undulation, a path or a vertical CRS."""
+    asked, unclear = known_datum(asked), why_unclear(asked)
     if isinstance(asked, pathlib.Path):
         return asked
-    if isinstance(asked, str) and asked.strip().lower() == "ellipsoid":
-        return "ellipsoid"
+    if unclear is not None:
+        raise VerticalDatumError(f"vertical_datum={asked!r} {unclear}.")
+    if is_ellipsoid(asked):
+        return ELLIPSOID
     if isinstance(asked, bool) or not isinstance(asked, str | int | float | np.integer | np.floating | pyproj.CRS):
         raise VerticalDatumError(f"vertical_datum={asked!r} is not understood; {USUAL_CHOICES}.")
     if isinstance(asked, int | np.integer) and abs(asked) > LARGEST_UNDULATION:

@@ -70,7 +70,7 @@ def method_map(found: AccuracyMap, ax: Axes | None = None, *, hidden: str = "hid
 
 
 def _hidden(found: AccuracyMap, ax: Axes, label: str) -> None:
-    here = np.asarray(found.status) == Status.hidden_by_terrain
+    here = np.isin(np.asarray(found.status), (Status.hidden_by_terrain, Status.below_horizon))
     if here.any():
         _one_colour(found, ax, here, HIDDEN, label)
 

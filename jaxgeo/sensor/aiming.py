@@ -15,7 +15,8 @@ from jaxgeo._checks import is_known
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._numerics import all_finite, matmul3, matvec
 from jaxgeo._typing import Flag, Flags, Pixel, Scalar, StatusCode
-from jaxgeo.earth import Atmosphere
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic
+from jaxgeo.earth._horizon import hidden_by_earth
 from jaxgeo.sensor._gimbal_inverse import FreeAxes, nearest_readings
 from jaxgeo.sensor.gimbal import Readings
 from jaxgeo.sensor.line_of_sight import Target
@@ -126,6 +127,9 @@ def _aim(
     reached = (miss < TOLERANCE) & all_finite(best)
     found = with_derivative(problem, start, free, jnp.where(reached, best, frozen_start))
     outcome = status_where(reached, Status.hit, Status.outside_gimbal_range.code)
+    if isinstance(target, Geodetic):
+        is_hidden = hidden_by_earth(WGS84.to_ecef(pose.position), WGS84.to_ecef(target))
+        outcome = status_where(reached & is_hidden, Status.below_horizon, outcome)
     outcome = status_where(~converged, Status.not_converged, outcome)
     outcome = status_where(~is_valid, Status.invalid_input, first_failure(status, outcome))
     known = is_valid & converged & (status == Status.hit)

@@ -6,15 +6,18 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64, by_numpy_if_known, check_finite, check_range
+from jaxgeo._checks import as_array, as_float64, by_numpy_if_known, check_finite, check_range, is_known
 from jaxgeo._numerics import matmul3, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo.earth._horizon import hidden_by_earth
+from jaxgeo.earth._on_host import ecef_of, normals_of
 from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, Rx, Ry, Rz, heading_pitch_roll_from_R
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
 
@@ -172,8 +175,10 @@ class Pose(Record):
     def looking_at(cls, *, position: Geodetic, point: Geodetic, roll: ScalarField = 0.0) -> Pose:
         """Pose at `position` whose body x axis points at `point`; with `Mount.forward()` so does the camera.
 
-        Ignores lever arms and boresight; `jaxgeo.sensor.point_shot` includes them, with a gimbal.
+        Ignores lever arms and boresight; `jaxgeo.sensor.point_shot` includes them, with a gimbal. Raises `ValueError`
+        for a concrete point that the Earth hides from the position.
         """
+        _check_above_horizon(position, point)
         position, point, roll = as_float64((position, point, roll), "Pose.looking_at")
         sight = R_ecef_from_ned(position).T @ (WGS84.to_ecef(point) - WGS84.to_ecef(position))
         north, east, down = sight
@@ -201,6 +206,18 @@ class Pose(Record):
         # R = Rx(omega) Ry(phi) Rz(kappa) is the transpose of a heading-pitch-roll matrix with opposite signs.
         kappa, phi, omega = heading_pitch_roll_from_R(R.T)
         return -omega, -phi, -kappa
+
+
+def _check_above_horizon(position: Geodetic, point: Geodetic) -> None:
+    """Raise `ValueError` for a known point that the Earth hides from a known position; compiles nothing."""
+    if not is_known((position, point)) or any(np.ndim(x) for x in jax.tree.leaves((position, point))):
+        return
+    origin, p_ecef = (ecef_of(normals_of(float(at.lat), float(at.lon)), float(at.height)) for at in (position, point))
+    if hidden_by_earth(origin, p_ecef, np):
+        raise ValueError(
+            f"point is {np.linalg.norm(p_ecef - origin) / 1000.0:,.0f} km from position, below the horizon: the Earth "
+            "is between them. Are latitude and longitude of one of them exchanged?"
+        )
 
 
 class Shot(Record):

@@ -39,8 +39,9 @@ def point_shot(
     Includes lever arms, boresight, gains, distortion and, if given, the atmosphere. `readings` are the start of the
     search, by default zero axis angles clipped to the limits. With more than two axes, those that move the line of
     sight least at the start (the roll of a drone's gimbal) keep their start readings.
-    Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; for traced
-    input the readings are NaN instead. `coverage.point_gimbal` sets a status instead, and considers terrain.
+    Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees, or if the Earth
+    hides it; for traced input the readings are NaN instead. `coverage.point_gimbal` sets a status instead, and
+    considers terrain.
 
     >>> from jaxgeo.sensor import point_shot
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +17,6 @@ from jaxgeo._typing import Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
-from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._accuracy_map import SAMPLES as SAMPLES_OF_EACH
 from jaxgeo.uncertainty._accuracy_map import accuracy_of_cells, check_context
@@ -26,7 +24,7 @@ from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii, select_known
 from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
 from jaxgeo.uncertainty.map_cells import Request, cells_of_pixels, check_block, check_level
-from jaxgeo.uncertainty.method_selection import NO_FIX, Method, diagnose
+from jaxgeo.uncertainty.method_selection import Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import FIGURES, draw_errors
@@ -118,7 +116,7 @@ def accuracy(
 def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: AbstractSearch, sampling: Any) -> Accuracy:
     """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
     nominal = inputs.nominal_fix(search)
-    nominal.require_fix()
+    nominal.require_fix(inputs)
     model.check_at(nominal)
     return accuracy_about(inputs, nominal, model, level, search, sampling)
 
@@ -169,20 +167,6 @@ def _of_pixels(
     shape, pixels = pixels.shape[:-1], pixels.reshape(-1, 2)
     if traced:
         found = accuracy_of_exposures((sensor, shot, pixels, terrain, errors, time, air), OF_PIXELS, request)
-        found = _without_fix_outside(found, cells_of_pixels(pixels, sensor).status)
         return jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), found)
     context, model = check_context(sensor, shot, terrain, errors, time, request.search, air)
     return accuracy_of_cells(cells_of_pixels(pixels, context.sensor), shape, request, context, model)
-
-
-def _without_fix_outside(found: Accuracy, status: Any) -> Accuracy:
-    """The accuracy of pixels (n,), without a fix where the `status` of the pixel is not `hit`."""
-    outside = status != Status.hit
-
-    def blank(leaf: Any) -> Any:
-        value = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else NO_FIX
-        return jnp.where(outside.reshape(-1, *[1] * (leaf.ndim - 1)), jnp.asarray(value, leaf.dtype), leaf)
-
-    masked = jax.tree.map(blank, found)
-    fix = dataclasses.replace(masked.fix, status=jnp.where(outside, status, found.fix.status))
-    return dataclasses.replace(masked, fix=fix, probability=found.probability)

@@ -131,7 +131,7 @@ def compare(
     is_open = isinstance(sampling, Sampling) and sampling.count is None and sampling.half_width is None
     sampling = resolve_sampling(sampling, SAMPLES)
     nominal = inputs.nominal_fix(search)
-    nominal.require_fix()
+    nominal.require_fix(inputs)
     model.check_at(nominal)
     sampler = Sampler.of(inputs, nominal, model, search, sampling)
     drawn = sampler.drawn(keep=True)

@@ -164,7 +164,8 @@ def _first_inputs(looks: Looks, terrain: AbstractTerrain | None) -> ModelInputs:
         motion = take(motion, 0)
     ground = ConstantHeight(0.0) if terrain is None else terrain
     uv = np.asarray(looks.uvs)[0]
-    return ModelInputs.of(looks.sensor, motion, uv, ground, time=time, atmosphere=looks.atmosphere)
+    air = looks.atmosphere
+    return ModelInputs.of(looks.sensor, motion, uv, ground, time=time, atmosphere=air, of_many=True)
 
 
 def _check_enough(status: np.ndarray, times: np.ndarray, target: AbstractTarget) -> None:

@@ -190,9 +190,8 @@ def _models(
     time = None if exposure.time is None else float(np.asarray(exposure.time).reshape(-1)[0])
     ground = take(terrain, 0) if _is_batch_of_levels(terrain) else terrain
     air = exposure.atmosphere
-    inputs = ModelInputs.of(
-        sensor, first, np.asarray(points.observation.uv)[0], ground, time=time, search=search, atmosphere=air
-    )
+    pixel = np.asarray(points.observation.uv)[0]
+    inputs = ModelInputs.of(sensor, first, pixel, ground, time=time, search=search, atmosphere=air, of_many=True)
     of_one = sources
     if isinstance(sources, tuple | list) and sources and all(isinstance(one, AbstractSource) for one in sources):
         of_one = tuple(take(one, 0) if _has_batch(one.sigma, 1) else one for one in sources)

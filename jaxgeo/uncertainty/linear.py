@@ -120,10 +120,10 @@ def propagate(
     `errors` is an `ErrorModel`, or a tuple of sources. The Jacobian is that of the fix offset, through pose, gimbal,
     camera, atmosphere and the terrain under the fix. With `slope=Footprint()` the ground is the plane fitted over the
     error ellipse, with `Level()` a horizontal plane. Of errors that are not normal only the variance is used, and the
-    radii are those of a normal error of the fix (see `Propagation.note`). Works under `jit` and `vmap` like `locate`;
-    differentiable in the sigmas and all other inputs. Raises as `locate`, `TypeError` for an item that is not an error
-    source, and `ValueError` for a negative or NaN sigma, an invalid covariance, a distribution without a finite
-    variance, or a source that does not apply to the observation.
+    radii are those of a normal error of the fix (see `Propagation.note`). Works under `jit` and `vmap` like `locate`,
+    with its status and NaN where there is no fix; differentiable in the sigmas and all other inputs. Raises as
+    `locate`, `TypeError` for an item that is not an error source, and `ValueError` for a negative or NaN sigma, an
+    invalid covariance, a distribution without a finite variance, or a source that does not apply to the observation.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)

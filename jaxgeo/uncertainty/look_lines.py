@@ -105,7 +105,7 @@ def in_blocks(function: Any, own: Any) -> Any:
 def _origins(own: Any, shared: Any) -> Origins:
     def one(own: Any) -> Origins:
         inputs, time = inputs_of_look(own, shared)
-        ray, status = inputs.sightline()
+        ray, status = inputs.nominal_sightline()
         return Origins(ray.origin, ray.direction, time, status)
 
     return jax.vmap(one)(own)
@@ -143,7 +143,7 @@ def inputs_of_look(own: Any, shared: Any) -> tuple[ModelInputs, Scalar]:
 
 def _line_at(inputs: ModelInputs, place: Vector3, model: ErrorModel, columns: Any, time: Scalar) -> Lines:
     """The line of sight near a place of the target; zeros if there is none."""
-    _, status = inputs.sightline()
+    _, status = inputs.nominal_sightline()
     ray = inputs.ray().through(inputs.air)
     distance = dot(ray.direction, place - ray.origin)
     for _ in range(0 if inputs.air is None else SOLVED):

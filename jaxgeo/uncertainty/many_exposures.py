@@ -98,7 +98,8 @@ def check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -
     number = _length(batch)
     *scene, first_model, first_time, first_air = batch.at(0)
     given_first: Any = scene
-    checked_model(first_model, ModelInputs.of(*given_first, time=first_time, search=search, atmosphere=first_air))
+    options: Any = {"time": first_time, "search": search, "atmosphere": first_air, "of_many": True}
+    checked_model(first_model, ModelInputs.of(*given_first, **options))
     sensor, shot, model = as_float64(sensor, "sensor"), as_float64(shot, "shot"), as_float64(model, "errors")
     time = jnp.asarray(as_float64(0.0 if time is None else time, "time"))
     air = as_float64(air, "atmosphere")

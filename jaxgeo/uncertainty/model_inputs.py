@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation
+from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation, no_fix_because
 from jaxgeo._compile import quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
@@ -94,11 +94,12 @@ class NominalFix(NamedTuple):
         offset = jnp.where(found, p_ecef - self.p_ecef, 0.0)
         return matvec(self.R_ecef_from_enu.T, offset), status
 
-    def require_fix(self) -> None:
+    def require_fix(self, inputs: ModelInputs) -> None:
         """Raise `ValueError` unless there is a fix on the first ground met; not for traced input."""
         if not have_fix(self.fix.status):
-            status = Status(int(self.fix.status))
-            raise ValueError(f"cannot estimate accuracy, there is no fix: {status.name}: {status.message}")
+            origin = lambda: _nominal_sightline(inputs).ray.origin  # noqa: E731
+            why = no_fix_because(Status(int(self.fix.status)), origin, inputs.terrain)
+            raise ValueError(f"cannot estimate accuracy, there is no fix: {why}")
 
 
 if TYPE_CHECKING:
@@ -131,15 +132,17 @@ class ModelInputs(Record):
         time: ArrayLike | None = None,
         search: AbstractSearch = FIRST_HIT,
         atmosphere: Atmosphere | None = None,
+        of_many: bool = False,
     ) -> ModelInputs:
         """Inputs of `jaxgeo.locate` for pixel `uv`; arguments and exceptions as there.
 
-        Raises `ValueError` for a known pixel outside the image, where `locate` has no fix. Of a trajectory, only the
-        knots around the exposure are kept.
+        Raises `ValueError` for a known pixel outside the image, where `locate` has no fix, unless it is one `of_many`,
+        which has a status. Of a trajectory, only the knots around the exposure are kept.
         """
         check_terrain(terrain, search)
         sensor, motion, moment, pixel = checked_observation(sensor, shot, time, uv)
-        check_on_image(sensor, pixel)
+        if not of_many:
+            check_on_image(sensor, pixel)
         return cls.of_checked(sensor, motion, moment, pixel, of_arrays(terrain), checked_air(atmosphere))
 
     @classmethod
@@ -172,13 +175,13 @@ class ModelInputs(Record):
         return self.exposure.atmosphere
 
     def ground(self, search: AbstractSearch) -> Fix:
-        """The fix; the pixel may lie outside the image."""
-        return met_by(*self.sightline(), self.terrain, search, self.air)[0]
+        """The fix that `locate` returns."""
+        return met_by(*self.nominal_sightline(), self.terrain, search, self.air)[0]
 
     def nominal_fix(self, search: AbstractSearch) -> NominalFix:
         """Nominal fix of the observation, without derivatives."""
         inputs = jax.lax.stop_gradient(self)
-        ray, status = _sightline(inputs)
+        ray, status = _nominal_sightline(inputs)
         return _nominal_fix(inputs, *met_apart(ray, status, inputs.terrain, search, inputs.air))
 
     def linear_offset(self, nominal: NominalFix) -> Vector3:
@@ -201,7 +204,12 @@ class ModelInputs(Record):
         return nominal.offset_of(self.sightline(), self.terrain, self.air, search)
 
     def sightline(self) -> Sightline:
-        """The straight line of sight; the pixel may lie outside the image.
+        """The straight line of sight; a perturbed pixel may lie outside the image."""
+        ray, status = self.nominal_sightline()
+        return Sightline(ray, seen_beside(status, ray.direction))
+
+    def nominal_sightline(self) -> Sightline:
+        """The straight line of sight, with the status `outside_image` for a pixel outside the image.
 
         Non-finite inputs give a non-finite ray, which every search reports as invalid input.
         """
@@ -210,7 +218,7 @@ class ModelInputs(Record):
             origin, direction = self.sensor.line(Station.of(self.motion), direction_camera)
         else:
             origin, direction, status = line_of_sight(self.sensor, self.motion, jnp.asarray(self.time), self.uv)
-        return Sightline(Ray(origin, direction), seen_beside(status, direction))
+        return Sightline(Ray(origin, direction), status)
 
     @property
     def pose(self) -> Pose:
@@ -236,17 +244,26 @@ def located_each(inputs: ModelInputs, uv: Any, search: AbstractSearch = FIRST_HI
 
     Called directly, by the programs that `locate` uses under a `jax.vmap`, since a search takes long to compile.
     """
-    return jax.vmap(located_apart, in_axes=(None, 0, None))(inputs, uv, search)
+
+    def one(inputs: ModelInputs, uv: Any, search: AbstractSearch) -> tuple[Fix, Bracket]:
+        (ray, _), status = _sightlines_of(inputs, uv)
+        return met_apart(ray, status, inputs.terrain, search, inputs.air)
+
+    return jax.vmap(one, in_axes=(None, 0, None))(inputs, uv, search)
 
 
 def located_apart(inputs: ModelInputs, uv: Any, search: AbstractSearch) -> tuple[Fix, Bracket]:
-    """The fix of a pixel, which may lie outside the image, and where the search found the ground, by programs apart."""
-    return met_apart(*_sightline_of(inputs, uv), inputs.terrain, search, inputs.air)
+    """The fix that `locate` returns, and where the search found the ground, by programs apart."""
+    (ray, status), _ = _sightlines_of(inputs, uv)
+    return met_apart(ray, status, inputs.terrain, search, inputs.air)
 
 
 @quick_jit
-def _sightline_of(inputs: ModelInputs, uv: Any) -> Sightline:
-    return dataclasses.replace(inputs, uv=uv).sightline()
+def _sightlines_of(inputs: ModelInputs, uv: Any) -> tuple[Sightline, StatusCode]:
+    """The nominal line of sight of a pixel, and its status if the pixel may lie outside the image."""
+    inputs = dataclasses.replace(inputs, uv=uv)
+    line = inputs.nominal_sightline()
+    return line, seen_beside(line.status, line.ray.direction)
 
 
 def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
@@ -255,8 +272,8 @@ def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
 
 
 @quick_filter_jit
-def _sightline(inputs: ModelInputs) -> Sightline:
-    return inputs.sightline()
+def _nominal_sightline(inputs: ModelInputs) -> Sightline:
+    return inputs.nominal_sightline()
 
 
 def nominal_fix_of(inputs: ModelInputs, fix: Fix, bracket: Bracket) -> NominalFix:

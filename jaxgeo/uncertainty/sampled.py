@@ -114,7 +114,7 @@ def sample(
     model = checked_model(errors, inputs, moments=0)
     nominal = inputs.nominal_fix(search)
     refuse_traced("sample", nominal)  # inside of jit, if all arguments are constants of its program
-    nominal.require_fix()
+    nominal.require_fix(inputs)
     model.check_at(nominal)
     wanted = Wanted(tuple(figures), keep, summary)
     is_shared = resolved.devices is None and jax.process_count() > 1

@@ -174,7 +174,7 @@ def sobol_indices(
     count, draws, key = options.count, options.draws, options.random_key
     _check_request(options, confidence, resamples)
     plan = make_plan(inputs, inputs.nominal_fix(search), model)
-    plan.nominal.require_fix()
+    plan.nominal.require_fix(inputs)
     model.check_at(plan.nominal)
     names, members = groups_of(model, by_axis)
     push = lambda normals: offsets_of(plan, normals, search)  # noqa: E731

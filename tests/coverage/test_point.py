@@ -656,7 +656,7 @@ MISTAKES = {
     ),
     "no terrain": (lambda: point_gimbal(SENSOR, SHOT, target=RING, terrain=3.0), TypeError, "terrain must be a"),
     "degrees": (
-        lambda: point_gimbal(SENSOR, SHOT, target=Geodetic(lat=47.0, lon=11.0, height=0.0)),
+        lambda: point_gimbal(SENSOR, SHOT, target=jax.tree.map(jnp.rad2deg, RING)),
         ValueError, r"target\.lat must lie within pi/2.*from_degrees takes degrees",
     ),
     "readings of another gimbal": (

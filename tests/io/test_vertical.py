@@ -171,7 +171,7 @@ def test_the_real_file_in_egm2008_is_read_with_one_undulation(jaxgeo_test_data: 
 REFUSED = [
     (None, r"dem\.tif: the file does not state the vertical datum of its heights.*EPSG:5773.*ellipsoid.*undulation"),
     ("EPSG:999999", r"'EPSG:999999' is unknown to PROJ; the usual choices"),
-    ("egm96", r"'egm96' is unknown to PROJ; the usual choices"),
+    ("egm99", r"'egm99' is unknown to PROJ; the usual choices"),
     ("EPSG:4326", r"'EPSG:4326' \(WGS 84\) says nothing about heights"),
     (3855, r"'EGM2008 height' need a geoid grid.*us_nga_egm08_25\.tif.*pyproj sync --file us_nga_egm08_25\.tif"),
     (5703, r"'NAVD88 height' need a geoid grid.*append_data_dir"),

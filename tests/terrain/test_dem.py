@@ -239,7 +239,7 @@ REFUSED = {
     "degrees as radians": (
         lambda: jaxgeo.project(A_SENSOR, A_SHOT, Geodetic(lat=47.0, lon=11.0, height=0.0)),
         ValueError,
-        r"point.lat must lie within pi/2 rad .* got 47. .*from_degrees takes degrees",
+        r"^lat must lie within pi/2 rad .* got 47\. .*from_degrees\(lat=47.0, lon=11.0, height=0.0\) takes degrees",
     ),
     "one number as pixel": (
         lambda: jaxgeo.locate(A_SENSOR, A_SHOT, 5.0, jaxgeo.ConstantHeight(0.0)),

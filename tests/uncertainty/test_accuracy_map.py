@@ -243,7 +243,7 @@ def test_an_image_taken_in_motion(level) -> None:
         ({"block": 0}, "block must be a whole number, 1 or more; got 0"),
         ({"sampling": Sampling(count=-1)}, "count must be a whole number of samples, 0 or more; got -1"),
         ({"probability": 1.0}, "between 0 and 1"),
-        ({"ground": Geodetic(lat=LAT, lon=LON, height=0.0)}, "takes radians"),
+        ({"ground": jax.tree.map(np.rad2deg, positions())}, "takes radians"),
         ({"ground": positions(LAT[:0], LON[:0])}, "ground must hold positions"),
         ({"errors": ()}, "no source"),
         ({"shot": POSE, "sensor": jaxgeo.Sensor(CAMERA)}, "no axes"),

@@ -9,6 +9,7 @@ from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions._takeoff import heights_above_takeoff
 from jaxgeo.io.acquisitions.record import UnstatedDatum
+from jaxgeo.io.datum_names import is_ellipsoid
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 
@@ -70,7 +71,7 @@ def heights_of(
         return heights, [f"Heights are {maker.relative} above {where}, as the barometer has them."]
     heights = np.array([_altitude(one, maker) for one in tags])
     if maker.datum and all(one.text(maker.datum).lower().startswith("ellips") for one in tags):
-        if height_datum not in (None, "ellipsoid"):
+        if not (height_datum is None or is_ellipsoid(height_datum)):
             raise TableError(f"{first.path}, {maker.datum}: heights are above the ellipsoid; leave height_datum= out.")
         return heights, []
     if height_datum is None:

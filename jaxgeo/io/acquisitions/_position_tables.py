@@ -21,6 +21,7 @@ from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions._rtklib import is_solutions, read_solutions, shares
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
+from jaxgeo.io.datum_names import is_ellipsoid
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -97,7 +98,7 @@ def read_positions(path: str | os.PathLike[str], *, height_datum: str | float | 
 
 
 def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
-    if height_datum not in (None, "ellipsoid"):
+    if not (height_datum is None or is_ellipsoid(height_datum)):
         raise TableError(f"{path}: its heights are above the ellipsoid (Ellh); leave height_datum= out.")
     if crs is not None:
         raise TableError(f"{path}: its positions are latitudes and longitudes; leave crs= out.")
@@ -148,7 +149,7 @@ def _of_solutions(path: Any, height_datum: Any, crs: Any) -> PositionTable:
     if found.is_ellipsoidal is False and height_datum is None:
         raise UnstatedDatum(f"{path}: its heights are geodetic, above a geoid that it does not name; {A_WRONG_GUESS}. "
                             f"{CHOICES}")  # fmt: skip
-    if found.is_ellipsoidal is not False and height_datum not in (None, "ellipsoid"):
+    if found.is_ellipsoidal is not False and not (height_datum is None or is_ellipsoid(height_datum)):
         raise TableError(f"{path}: its heights are above the ellipsoid; leave height_datum= out.")
     if found.is_ellipsoidal is None:
         notes.append("Its heights are taken to be above the ellipsoid, RTKLIB's default.")

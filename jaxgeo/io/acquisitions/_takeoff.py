@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo.io.datum_names import is_ellipsoid
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 
@@ -21,7 +22,7 @@ def heights_above_takeoff(
     if not np.isfinite(takeoff):
         raise TableError(f"{path}: takeoff_height= must be finite, in m above the ellipsoid or height_datum=.")
     words = f"a take-off at {takeoff:g} m"
-    if datum is None or datum == "ellipsoid":
+    if datum is None or is_ellipsoid(datum):
         return takeoff + above, words
     where = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
     try:

@@ -50,6 +50,12 @@ from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes read for detection
 IMAGES = (b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # JPEG, TIFF and BigTIFF in both orders
+PICTURES: dict[str, Callable[[bytes], bool]] = {
+    "PNG": lambda head: head.startswith(b"\x89PNG\r\n"),
+    "GIF": lambda head: head.startswith((b"GIF87a", b"GIF89a")),
+    "WebP": lambda head: head[:4] == b"RIFF" and head[8:12] == b"WEBP",
+    "HEIF": lambda head: head[4:8] == MP4 and head[8:12] in (b"heic", b"heix", b"mif1", b"msf1", b"avif"),
+}
 MP4 = b"ftyp"  # after the length of the first box
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
@@ -145,6 +151,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     for form in FORMS:
         if form.is_one(place, head):
             return form
+    _refuse_image(path, head)
     if head[4:8] == MP4:
         raise TableError(
             f"{path}: this is a video (MP4 or MOV), of which no telemetry is read. Give the subtitle file (.SRT) that "
@@ -153,6 +160,18 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     _refuse_damaged(path, head)
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
+
+
+def _refuse_image(path: str | os.PathLike[str], head: bytes) -> None:
+    """Raises `TableError` for images of kinds that cameras of drones do not write, and whose metadata are not read."""
+    kind = next((name for name, is_one in PICTURES.items() if is_one(head)), None)
+    if kind is not None:
+        raise TableError(
+            f"{path}: no camera metadata are read from a {kind} image. Give the JPEG or TIFF file of the camera, "
+            "a table of orientations that names the image, or a scene file with camera and pose: "
+            "`jaxgeo demo --write-scene scene.toml` writes one to fill in, for "
+            "`jaxgeo locate --scene scene.toml --dem dem.tif --pixel 100,200`."
+        )
 
 
 def _refuse_damaged(path: str | os.PathLike[str], head: bytes) -> None:

@@ -14,6 +14,7 @@ from jaxgeo.io.acquisitions._world_frames import check_on_earth, pose_of_ecef
 from jaxgeo.io.acquisitions._xml import numbers_of, root_of, rotation_near
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
+from jaxgeo.io.datum_names import is_ellipsoid
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import AS_READ
 from jaxgeo.sensor import BrownConrady, FrameCamera
@@ -43,7 +44,7 @@ def read_metashape_cameras(
     `RuntimeError` with 64-bit floats off.
     """
     require_x64()
-    if height_datum not in (None, "ellipsoid"):
+    if not (height_datum is None or is_ellipsoid(height_datum)):
         raise TableError(f"{path}: geocentric coordinates are heights above the ellipsoid; leave height_datum= out.")
     chunk = _chunk(path)
     sensors = {one.get("id", ""): one for one in chunk.iter("sensor")}

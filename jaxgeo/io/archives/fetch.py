@@ -19,6 +19,7 @@ from jaxgeo.io.archives.sight import BESIDE, Extent, follow
 from jaxgeo.io.archives.store import DemCache
 from jaxgeo.io.archives.views import View
 from jaxgeo.io.archives.web import Web
+from jaxgeo.io.datum_names import known_datum
 from jaxgeo.io.vertical import VerticalDatum
 from jaxgeo.io.windows import Bounds
 
@@ -93,7 +94,7 @@ def fetch_dem(
             f"{found.name}: the archive has no tile {listed(sorted(ground.gaps))}: it covers "
             f"{found.where or 'other places'}. Take another archive, such as copernicus."
         )
-    datum = vertical_datum
+    datum = known_datum(vertical_datum)
     if found.datum is not None and f"{datum}".removeprefix("EPSG:") in ("None", found.datum.removeprefix("EPSG:")):
         datum = ground.told(
             lambda web: datum_for(str(found.datum), found.geoid, edges, kept, web, mirrors.get(PROJ)),

@@ -27,6 +27,7 @@ from jaxgeo.io.archives.catalogue import PROJ, joined, mirrors_of
 from jaxgeo.io.archives.errors import ArchiveError, MissingGrid, Unreachable
 from jaxgeo.io.archives.store import DemCache
 from jaxgeo.io.archives.web import Web
+from jaxgeo.io.datum_names import known_datum
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.vertical import VerticalDatum, height_shift
 
@@ -93,7 +94,7 @@ def fetch_geoid(datum: str = "EPSG:3855", *, mirror: str | None = None, proxy: s
     if is_offline():
         raise ArchiveError(f"{datum}: {OFFLINE} is set; a geoid grid is fetched through the network.")
     try:
-        vertical = pyproj.CRS.from_user_input(datum)
+        vertical = pyproj.CRS.from_user_input(known_datum(datum))
         if not vertical.is_vertical:
             raise ArchiveError(f"{datum}: {vertical.name!r} is no vertical datum; give a code such as EPSG:3855.")
         operation(CompoundCRS("x", components=["EPSG:4326", vertical]), "EPSG:4979")
