@@ -177,11 +177,14 @@ def test_a_vmap_called_directly_is_one_program_for_all_counts(count: int, compil
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7)
 
 
-@pytest.mark.costly
 def test_another_mapped_argument_is_another_program(compiled: list[Any]) -> None:
-    heights = jaxgeo.ConstantHeight(jnp.full(3, 600.0))
-    jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, 0))(*_scene(), PIXELS[:3], heights)
-    assert compiled, "the test above would see no program at all"
+    """Of a function that no other test has compiled; without it, the test above might see no program at all."""
+    total = quick_jit(lambda one, other: one + jnp.cos(other))
+    numbers = np.arange(3.0)
+    for number, in_axes in enumerate([(0, None), (None, 0), (0, 0)], 1):
+        given = [numbers if axis == 0 else numbers[1] for axis in in_axes]
+        np.testing.assert_allclose(jax.vmap(total, in_axes=in_axes)(*given), given[0] + np.cos(given[1]), rtol=1e-14)
+        assert len(compiled) == number
 
 
 def test_a_vmap_of_a_vmap_and_derivatives_within_one_are_of_the_usual_program() -> None:
