@@ -190,8 +190,9 @@ def apart(true: Views, errors: np.ndarray) -> float:
 
 @pytest.mark.costly
 def test_errors_of_a_sequence_are_as_predicted() -> None:
-    """Over several draws: squared errors by their covariance are chi-square, neighbours agree five times better than by the
-    navigation, positions are no worse than their priors, and a shift of all positions stays to the last millimetre."""
+    """Over several draws: squared errors by their covariance are chi-square, neighbours agree five times better than by
+    the navigation, positions are no worse than their priors, and a shift of all positions stays to the last
+    millimetre."""
     true, seeds = views_of(shots()), 6
     seen = measured(true)
     squares, before, after, over_prior = 0.0, [], [], []
