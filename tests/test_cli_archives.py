@@ -69,13 +69,13 @@ def test_a_fix_from_an_empty_home_is_that_of_the_same_model_by_hand(home: pathli
     """`--dem copernicus`, again without the server, and the downloaded tile with the same geoid: one answer."""
     prepare(pathlib.Path(), f"jaxgeo locate {IMAGE}")
     with serving(archive) as served:
-        results = [run(f"locate {IMAGE} --dem copernicus {mirror(served)} --no-accuracy --json")]
+        results = [run(f"locate {IMAGE} --dem copernicus {mirror(served)} --json")]
         assert served.sent < 1.0e6
     assert (home / ".cache" / "jaxgeo" / "dem").is_dir()
-    results.append(run(f"locate {IMAGE} --dem copernicus --no-accuracy --json"))
-    results.append(run(f"locate {IMAGE} --dem copernicus --offline --no-accuracy --json"))
+    results.append(run(f"locate {IMAGE} --dem copernicus --json"))
+    results.append(run(f"locate {IMAGE} --dem copernicus --offline --json"))
     by_hand = f"--dem {archive}/{TILE}/{TILE}.tif --dem-datum {archive}/us_nga_egm08_25.tif"
-    results.append(run(f"locate {IMAGE} {by_hand} --no-accuracy --json"))
+    results.append(run(f"locate {IMAGE} {by_hand} --json"))
     assert [one.exit_code for one in results] == [0] * 4, results[-1].output
     *told, expected = (json.loads(one.stdout) for one in results)
     (right,) = expected["fixes"]
@@ -83,7 +83,8 @@ def test_a_fix_from_an_empty_home_is_that_of_the_same_model_by_hand(home: pathli
     for one in told:
         (fix,) = one["fixes"]
         assert np.abs(position_of(fix) - place).max() < 1e-6  # m
-        assert abs(fix["slant_range_m"] - right["slant_range_m"]) < 1e-6  # m
+        for name in ("ce90_m", "le90_m", "slant_range_m"):
+            assert abs(fix[name] - right[name]) < 1e-6  # m
         assert one["elevation_model"]["datum"] == "EPSG:3855"
         assert one["elevation_model"]["tiles"] == [f"{TILE}.tif"]
     assert "elevation_model" not in expected
