@@ -78,7 +78,7 @@ def test_spheres(sigmas, radii):
 def test_radii_in_numpy_are_those_of_the_program(d: int) -> None:
     """A few radii called directly are computed in NumPy, traced ones and many by a program."""
     rng = np.random.default_rng(d)
-    n = 8
+    n = 24
     axes = np.linalg.qr(rng.normal(size=(n, d, d)))[0]
     sigmas = 10.0 ** rng.uniform(-2.0, 1.0, (n, d))
     sigmas[: n // 4, 1:] = 0.0
@@ -372,8 +372,8 @@ def test_an_error_ellipse_prints_its_numbers() -> None:
 def test_radii_are_the_same_bits_whatever_was_computed_before() -> None:
     """As results of several processes are compared; the figures of few fixes are computed in NumPy."""
     random = np.random.default_rng(5)
-    roots = random.normal(size=(4, 3, 3))
-    each = [(root @ root.T, mean) for root, mean in zip(roots, random.normal(size=(4, 3)), strict=True)]
+    roots = random.normal(size=(25, 3, 3))
+    each = [(root @ root.T, mean) for root, mean in zip(roots, random.normal(size=(25, 3)), strict=True)]
     first = [float(m.spherical_error(cov, 0.5, mean)) for cov, mean in each]
     assert [float(m.spherical_error(cov, 0.5, mean)) for cov, mean in each] == first
 
