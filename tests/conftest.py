@@ -47,7 +47,8 @@ os.environ.setdefault("JAXGEO_CACHE_DIR", str(PROJECT / ".cache" / "jaxgeo"))  #
 MUCH_RESIDENT, MORE_RESIDENT, MOST_RESIDENT = 1_550_000_000, 1_700_000_000, 1_850_000_000
 MANY_PROGRAMS = 500_000_000  # bytes
 MARK_OF_FILE = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.(?P<mark>costly|slow)\b", re.MULTILINE)
-BUDGET = 1.5  # s of processor time of one core test, with what it compiles
+BUDGETS = {"slow": float("inf"), "costly": 5.0}  # s of processor time of one test, with what it compiles, by its mark
+BUDGET = 1.5  # of one without such a mark
 BEGUN, SPENT = pytest.StashKey[float](), "processor seconds"
 
 make_ir_context = mlir.make_ir_context
@@ -134,14 +135,14 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """The tests over their budget of time; how many mutants of files were read in all, and how it went."""
     every = [one for kind in terminalreporter.stats.values() for one in kind if getattr(one, "when", "") == "teardown"]
-    spent = sorted(((dict(one.user_properties).get(SPENT, 0.0), one.nodeid) for one in every), reverse=True)
-    over = [seconds for seconds, _ in spent if seconds > BUDGET]
+    spent = [(dict(one.user_properties).get(SPENT, 0.0), one) for one in every]
+    over = sorted(((seconds, one.nodeid) for seconds, one in spent if seconds > _budget(one)), reverse=True)
     if over:
         terminalreporter.write_line(
-            f"processor time: {sum(seconds for seconds, _ in spent):.0f} s; of it {sum(over):.0f} s by {len(over)} "
-            f"tests of more than {BUDGET} s, with what others use too:"
+            f"processor time: {sum(seconds for seconds, _ in spent):.0f} s; of it {sum(x for x, _ in over):.0f} s by "
+            f"{len(over)} tests of more than {BUDGET} s, or {BUDGETS['costly']} s if costly, with what others use too:"
         )
-        for seconds, name in spent[: min(10, len(over))]:
+        for seconds, name in over[:10]:
             terminalreporter.write_line(f"{seconds:6.1f} s {name}")
     reports = [one for kind in ("passed", "failed") for one in terminalreporter.stats.get(kind, [])]
     told = [found for one in reports for name, found in getattr(one, "user_properties", ()) if name == "mutants"]
@@ -152,6 +153,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             f"{refused + answered} mutants of files: {refused} refused, {answered} answers, {wrong} wrong; slowest "
             f"{slowest:.2f} s, memory + {grown / 1e6:.0f} MB; {VARIABLE}={os.environ[VARIABLE]}"
         )
+
+
+def _budget(report: pytest.TestReport) -> float:
+    return next((seconds for mark, seconds in BUDGETS.items() if mark in report.keywords), BUDGET)
 
 
 @pytest.fixture(scope="session")

@@ -26,6 +26,7 @@ from jaxgeo.rotations import heading_pitch_roll_from_R
 
 ELLIPSOID = ["--camera-datum", "ellipsoid"]
 GROUND = ["--dem", "dem.tif"]
+LEVEL = ["--ground", "300"]
 
 
 def run(*arguments: str | pathlib.Path):
@@ -97,8 +98,8 @@ def test_a_scene_says_what_it_assumes(here: pathlib.Path) -> None:
 @pytest.mark.costly
 def test_a_footprint_of_an_image_is_that_of_its_scene(here: pathlib.Path) -> None:
     scene = scene_of("DJI_0042.JPG")
-    (of_file,) = done("footprint", "DJI_0042.JPG", *ELLIPSOID, *GROUND)["footprints"]
-    (of_scene,) = done("footprint", scene, *GROUND)["footprints"]
+    (of_file,) = done("footprint", "DJI_0042.JPG", *ELLIPSOID, *LEVEL)["footprints"]
+    (of_scene,) = done("footprint", scene, *LEVEL)["footprints"]
     assert of_file.pop("name") == "DJI_0042.JPG"
     assert of_file["area_km2"] == pytest.approx(of_scene["area_km2"], rel=1e-6)
     for one, other in zip(of_file["outline"], of_scene["outline"], strict=True):
@@ -107,12 +108,12 @@ def test_a_footprint_of_an_image_is_that_of_its_scene(here: pathlib.Path) -> Non
 
 @pytest.mark.costly
 def test_a_folder_has_a_footprint_for_each_image_and_tells_what_it_cannot_read(here: pathlib.Path) -> None:
-    told = done("footprint", "strip", *ELLIPSOID, *GROUND, "-o", "out.geojson")
+    told = done("footprint", "strip", *ELLIPSOID, *LEVEL, "-o", "out.geojson")
     assert [one["name"] for one in told["footprints"]] == ["a.jpg", "b.jpg", "c.jpg"]
     assert list(told["unread"]) == ["strip/d.jpg"]
     features = json.loads(pathlib.Path("out.geojson").read_text())["features"]
     assert [one["properties"]["name"] for one in features] == ["a.jpg", "b.jpg", "c.jpg"]
-    shown = run("footprint", "strip", *ELLIPSOID, *GROUND)
+    shown = run("footprint", "strip", *ELLIPSOID, *LEVEL)
     assert "not read: strip/d.jpg" in shown.stderr
     assert "b.jpg" in shown.stdout
 

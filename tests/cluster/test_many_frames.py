@@ -292,7 +292,7 @@ def test_ground_that_is_too_large_is_a_row_with_its_reason(frames: Observations,
     assert np.array_equal(widths.fixes.status[~too_large], usual.fixes.status[~too_large])
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_higher_ground_beside_the_rays_changes_nothing(tmp_path: pathlib.Path) -> None:
     """With its margin the window may hold the ridge, whose height oblique rays pass outside of the window."""
     tiles = write_tiles(tmp_path, down=1, across=1, posts=400, height_at=ridge_at)

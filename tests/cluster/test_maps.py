@@ -81,11 +81,25 @@ class Made:
         return rectify_frames(folder, self.images, self.observed, ground, status=True, **(cells | how))
 
 
+def with_twin(observed: Observations) -> Observations:
+    """The first frame's pose for the one whose image is missing: in a window of the same shape, when it appears."""
+    (batch,) = observed.batches
+
+    def copied(leaf: Any) -> Any:
+        leaf = np.array(leaf)
+        leaf[MISSING] = leaf[0]
+        return leaf
+
+    exposure = dataclasses.replace(batch.observation.exposure, motion=jax.tree.map(copied, batch.shots))
+    observation = dataclasses.replace(batch.observation, exposure=exposure)
+    return dataclasses.replace(observed, batches=(dataclasses.replace(batch, observation=observation),))
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("frames")
     files = open_dem(write_tiles(folder, 2, 2, 90), vertical_datum="ellipsoid")
-    observed = frames(4, 180, 180, np.array([10.0, 25.0, 10.0, 130.0]))
+    observed = with_twin(frames(4, 180, 180, np.array([10.0, 25.0, 10.0, 130.0])))
     images = write_images(folder / "images", 4)
     (images / f"image {MISSING}.tif").unlink()
     run = rectify_frames(folder / "made", images, observed, files, status=True)

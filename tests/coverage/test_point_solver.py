@@ -246,7 +246,7 @@ def test_a_solver_that_ends_off_a_target_in_reach_has_not_converged(call, solver
     """Alone and in a batch, by programs that are compiled for other tests."""
     look = Looks(LOW.pose, CLOSE_BY, LENS.principal_px, LONG_ARM.gimbal.limits)
     looks = jax.tree.map(lambda x: jnp.broadcast_to(x, (COUNT, *jnp.shape(x))), look)
-    assert np.all(asked(LONG_ARM, looks)[0].ok)
+    assert alone(LONG_ARM, looks, 0).ok
     found = call(LONG_ARM, looks, solver=solver)
     assert np.all(found.status == Status.not_converged)
     assert np.all(np.isnan(found.readings))

@@ -37,7 +37,7 @@ def found() -> AccuracyMap:
     """Of two rows of three pixels, the last of which lies beside the image."""
     u, v = np.meshgrid([100.0, 1200.0, 2800.0], [200.0, 400.0])
     uv = np.stack([u, v], axis=-1)
-    each = accuracy(SENSOR, SHOT, uv, GROUND, MODEL, probability=0.8, block=1)
+    each = accuracy(SENSOR, SHOT, uv, GROUND, MODEL, probability=0.8, block=4)
     return AccuracyMap(each, each.fix.position, uv)
 
 

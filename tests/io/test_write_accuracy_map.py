@@ -28,7 +28,7 @@ def written(tmp_path_factory):
     """A map in UTM of a part of what the image sees and some more, and what comes back from the file."""
     path = tmp_path_factory.mktemp("maps") / "accuracy.tif"
     place = {"crs": "EPSG:32632", "bounds": (645_000.0, 5_204_000.0, 646_100.0, 5_204_470.0), "resolution": 100.0}
-    found = write_accuracy_map(path, *SCENE, **place, probability=0.5, block=8)
+    found = write_accuracy_map(path, *SCENE, **place, probability=0.5, block=4)
     with rasterio.open(path) as data:
         return found, data.read(), data.profile, data.descriptions, data.units, data.tags()
 

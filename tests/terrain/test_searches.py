@@ -46,7 +46,8 @@ EVERY_SEARCH = {
 
 
 def run_of(search, dem: Dem, *rays: Ray):
-    """Runs and outcomes of up to eight rays, compiled once for each search."""
+    """Runs and outcomes of up to eight rays, compiled once for each kind of search, whatever its numbers."""
+    search = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, search)
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rays, *[rays[-1]] * (BATCH - len(rays)))
     run = run_from(approaches(batch, dem), dem, search)
     first, _ = located(batch, dem, FirstHit())

@@ -239,6 +239,7 @@ def test_summary_has_what_was_found(here: ImageFolder, done) -> None:
     assert len(ties) - 1 == content["measurements"]["used"]
 
 
+@pytest.mark.slow
 def test_images_on_a_map_carry_it_to_the_others(here: ImageFolder, done, tmp_path: pathlib.Path) -> None:
     """Two images are asked for, of which one shows noise: all that are tied gain from the other."""
     chosen = ("--register", here.names[0], "--register", here.names[4])

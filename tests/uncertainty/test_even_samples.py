@@ -62,7 +62,7 @@ def test_numbers_are_standard_normal_and_uncorrelated() -> None:
 @pytest.mark.parametrize(
     "scene",
     [
-        (*TERRAIN, (*ANGLES, sources.TerrainHeight.from_metres(4.0))),
+        pytest.param((*TERRAIN, (*ANGLES, sources.TerrainHeight.from_metres(4.0))), marks=pytest.mark.slow),
         (*TERRAIN, (*ANGLES, FIELD)),
         pytest.param(
             (*TERRAIN, (*ANGLES, sources.TerrainHeight.from_metres(4.0, distribution=Uniform()))),

@@ -8,6 +8,7 @@ import pytest
 
 import jaxgeo
 from jaxgeo.uncertainty import ErrorModel, Method, Sampling, accuracy, budget, compare, sample, sobol_indices, sources
+from tests.support import looks
 from tests.uncertainty.test_sampled import KEY, SCENE
 
 NONE = ErrorModel((sources.Attitude.from_degrees(heading=0.0, pitch=0.0, roll=0.0),))
@@ -31,13 +32,18 @@ def test_samples_are_zero() -> None:
 
 @pytest.mark.costly
 def test_accuracy_is_zero_by_linear_propagation() -> None:
-    scene = SCENE[:4]
-    one = accuracy(*scene, NONE)
+    scene = (looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL)
+    none = looks.level_errors(0.0)  # programs of other tests
+    one = accuracy(*scene, none)
     assert (float(one.circular), float(one.linear), float(one.spherical)) == (0.0, 0.0, 0.0)
     assert int(one.method) == Method.facet
     assert str(one).endswith("No error moves the fix: it is as exact as its input.")
     assert budget(one).circular_error == 0.0
-    traced = jax.jit(lambda model: accuracy(*scene, model, sampling=None).circular)(NONE)
+
+
+@pytest.mark.slow
+def test_accuracy_is_zero_under_jit() -> None:
+    traced = jax.jit(lambda model: accuracy(*SCENE[:4], model, sampling=None).circular)(NONE)
     assert float(traced) == 0.0
 
 

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -106,14 +107,24 @@ def test_samples_without_a_fix_count_as_infinitely_far(share_lost: float, least:
     assert low.value > low.conditional
 
 
+ROUGH = (looks.sensor(), looks.shot(), looks.UV, looks.dem())
+
+
 @pytest.mark.costly
-@pytest.mark.parametrize("moves_ground", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
-    """On rough ground, where the crowd is told where to begin; one of its own by one of its own."""
+@pytest.mark.parametrize(
+    "scene, moves_ground",
+    [
+        (SCENE[:4], False),
+        pytest.param(ROUGH, False, marks=pytest.mark.slow),
+        pytest.param(ROUGH, True, marks=pytest.mark.slow),
+    ],
+    ids=["level", "rough", "rough and moved"],
+)
+def test_a_sample_is_the_miss_of_its_error(scene: Any, moves_ground: bool) -> None:
+    """Also on rough ground, where the crowd is told where to begin; one of its own by one of its own."""
     pointing = sources.Attitude.from_degrees(heading=0.3, pitch=0.3, roll=0.3)
     ground = (sources.TerrainHeight.from_metres(4.0),) if moves_ground else ()
     model = ErrorModel((pointing, *ground))
-    scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem())
     drawn = sample(*scene, model, key=KEY, count=96, keep=True, draws=Random())
     look = ModelInputs.of(*scene)
     aim = look.nominal_fix(FirstHit())
