@@ -156,7 +156,7 @@ def test_the_same_by_keys_only(browser, viewer, observed, size: tuple[int, int])
         point = answered(page, "")
         assert (point["u"], point["v"]) == pytest.approx((1999.5 + 1.0, 1499.5 + 10.0), abs=0.051)  # from the middle
         assert (point["lat"], point["lon"]) == pytest.approx(place_of(observed, point["u"], point["v"]), abs=2e-7)
-        page.wait_for_timeout(700)  # ms; where the cross is would be said 500 ms after it stops, and is not: the answer was
+        page.wait_for_timeout(700)  # ms; 500 ms after the cross stops its place would be said, had the answer not come
         spoken = page.locator("#spoken").inner_text()
         assert f"{point['lat']:.7f}° N" in spoken
         assert f"CE90 {words.length(ce90_of(observed, point['u'], point['v']))}" in spoken
