@@ -93,7 +93,7 @@ def test_one_traced_pixel_outside_has_no_figures(name: str) -> None:
     _check(*jax.jit(jax.vmap(ONE[name]))(jnp.asarray(PIXELS)))
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["propagate"])
 def test_nor_has_it_under_a_vmap_alone_and_under_a_jit_alone(name: str) -> None:
     _check(*jax.vmap(ONE[name])(jnp.asarray(PIXELS)))
@@ -102,7 +102,7 @@ def test_nor_has_it_under_a_vmap_alone_and_under_a_jit_alone(name: str) -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name", MANY)
+@pytest.mark.parametrize("name", ["accuracy of pixels", pytest.param("accuracy by in_axes", marks=pytest.mark.slow)])
 def test_of_many_pixels_each_outside_has_no_figures_traced_or_not(name: str) -> None:
     """The first of them, too, whose arguments are checked as those of one alone."""
     _check(*MANY[name](PIXELS))
