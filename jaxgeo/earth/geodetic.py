@@ -77,7 +77,9 @@ class Geodetic(Record):
 
 def _farthest(value: Any) -> float | None:
     """The concrete number that is largest in size, with its sign; None for traced values and for other things."""
-    if not isinstance(value, float | int | np.generic | np.ndarray | jax.Array):
+    if isinstance(value, float | int):
+        return float(value)
+    if not isinstance(value, np.generic | np.ndarray | jax.Array):
         return None
     if is_known(value) and isinstance(value, jax.Array) and not value.is_fully_addressable:
         return None

@@ -121,7 +121,7 @@ ROUGH = (looks.sensor(), looks.shot(), looks.UV, looks.dem())
     ids=["level", "rough", "rough and moved"],
 )
 def test_a_sample_is_the_miss_of_its_error(scene: Any, moves_ground: bool) -> None:
-    """Also on rough ground, where the crowd is told where to begin; one of its own by one of its own."""
+    """Also on rough ground, where the search of the samples starts near it; each sample by itself."""
     pointing = sources.Attitude.from_degrees(heading=0.3, pitch=0.3, roll=0.3)
     ground = (sources.TerrainHeight.from_metres(4.0),) if moves_ground else ()
     model = ErrorModel((pointing, *ground))
