@@ -16,8 +16,8 @@ UNCLEAR = {
     "does not say whether heights are above its ellipsoid or a geoid": ("wgs84", "gps", "gnss"),
 }
 WAY = (
-    '"ellipsoid" (or HAE) for heights above WGS 84, "EGM96" (EPSG:5773; what SRTM, most drones and GPS receivers call '
-    'mean sea level), "EGM2008" (EPSG:3855) and "NAVD88" (EPSG:5703) do; so does an undulation in m'
+    'Give "ellipsoid" (or HAE) for heights above WGS 84, "EGM96" (EPSG:5773; what SRTM, most drones and GPS receivers '
+    'call mean sea level), "EGM2008" (EPSG:3855) or "NAVD88" (EPSG:5703)'
 )
 
 
@@ -38,9 +38,9 @@ def known_datum(asked: Any) -> Any:
 
 
 def why_unclear(asked: Any) -> str | None:
-    """Why a name in use stands for no one datum, with those that do, as half a sentence; None for others."""
+    """Why a name in use stands for no one datum, and those to give instead; None for others."""
     reason = _REASONS.get(_plain(asked)) if isinstance(asked, str) else None
-    return None if reason is None else f"{reason}: {WAY}"
+    return None if reason is None else f"{reason}. {WAY}"
 
 
 def is_ellipsoid(asked: Any) -> bool:

@@ -159,7 +159,7 @@ def _understood(asked: Any) -> str | float | pathlib.Path | pyproj.CRS:
     if isinstance(asked, pathlib.Path):
         return asked
     if unclear is not None:
-        raise VerticalDatumError(f"vertical_datum={asked!r} {unclear}.")
+        raise VerticalDatumError(f"vertical_datum={asked!r} {unclear}, or an undulation in m.")
     if is_ellipsoid(asked):
         return ELLIPSOID
     if isinstance(asked, bool) or not isinstance(asked, str | int | float | np.integer | np.floating | pyproj.CRS):
