@@ -7,14 +7,27 @@ from typing import Any
 
 from beartype import beartype
 
+checks: dict[tuple[str, str, str], Callable[..., Any]] = {}
+
 
 def on_first_call(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`beartype(function)`, made at the first call: most functions of the package are not called in one process."""
+    """`beartype(function)`, made at the first call: most functions of the package are not called in one process.
+
+    `function` has a signature and does nothing, so that its checks also serve a function within another, which is a new
+    one in each call of that.
+    """
     checked: list[Callable[..., Any]] = []
 
     def call(*args: Any, **options: Any) -> Any:
         if not checked:
-            checked.append(beartype(function))
+            checked.append(_checks_of(function))
         return checked[0](*args, **options)
 
     return call
+
+
+def _checks_of(function: Callable[..., Any]) -> Callable[..., Any]:
+    what = function.__module__, function.__qualname__, repr(function.__annotations__)
+    if what not in checks:
+        checks[what] = beartype(function)
+    return checks[what]
