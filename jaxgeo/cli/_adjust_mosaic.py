@@ -19,7 +19,7 @@ from jaxgeo.cli._screen import print_note, progress_bar
 if TYPE_CHECKING:
     from jaxgeo.io.reach import Reach
     from jaxgeo.terrain import AbstractTerrain
-    from jaxgeo.ties import Correction
+    from jaxgeo.ties import Correction, Views
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -73,6 +73,27 @@ class MosaicOptions(OptionGroup):
         if self.mosaic is not None:
             check_no_input("--mosaic", [self.mosaic], list(read))
 
+    def check_cells(
+        self, views: Views, paths: Sequence[pathlib.Path], terrain: AbstractTerrain, crs: str | None, reach: Reach
+    ) -> None:
+        """Raises `UserError` for cells that make the mosaic too large, and images that fit in none, before any image is
+        matched; by the orientations of the navigation."""
+        from jaxgeo.io.mosaic import check_mosaic
+
+        if self.mosaic is None:
+            return
+        with translate_cell_errors(several=True), translate_reach_errors():
+            check_mosaic(self.mosaic, paths, views.exposure, terrain, **self._cells(crs, reach))
+
+    def _cells(self, crs: str | None, reach: Reach) -> dict[str, Any]:
+        size = self._size
+        return {
+            "crs": crs,
+            "resolution": None if size is None else size[0] if len(size) == 1 else (size[0], size[1]),
+            "allow_remote": reach.remote,
+            "allow_outside": reach.outside,
+        }
+
     def write(
         self, found: Correction, paths: Sequence[pathlib.Path], terrain: AbstractTerrain, crs: str | None, reach: Reach
     ) -> dict[str, Any]:
@@ -89,7 +110,6 @@ class MosaicOptions(OptionGroup):
             Exposure(one.sensor, one.motion, None, given)
             for one, given in zip(exposures_of(found.adjustment), air, strict=True)
         ]
-        size = self._size
         with progress_bar() as bar, translate_cell_errors(several=True), translate_reach_errors():
             task = bar.add_task("rectifying", total=None)
             done = write_mosaic(
@@ -97,13 +117,10 @@ class MosaicOptions(OptionGroup):
                 [paths[row] for row in rows],
                 exposures,
                 terrain,
-                crs=crs,
-                resolution=None if size is None else size[0] if len(size) == 1 else (size[0], size[1]),
                 callback=lambda what, number, total: bar.update(
                     task, completed=number, total=total, description=f"{what} the mosaic"
                 ),
-                allow_remote=reach.remote,
-                allow_outside=reach.outside,
+                **self._cells(crs, reach),
             )
         for file, reason in done.left_out.items():
             print_note(f"not in the mosaic: {file}: {reason}")

@@ -128,6 +128,7 @@ def adjust_command(
         terrain = read_terrain(
             dem, reading_dem, lambda: view_of_shots(exposures[0].sensor, [one.motion for one in exposures])
         )
+        of_mosaic.check_cells(views, paths, terrain, crs, reading_dem.reach)
         kept = Kept(output / MATCHES, lambda row: stamp(paths[row]))
         ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
         if kept.reused:

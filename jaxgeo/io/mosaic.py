@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import tempfile
@@ -92,14 +93,7 @@ def write_mosaic(
     and a raster that is too large; `ImageError` for images that cannot be read or are not of the size of their cameras;
     `NothingSeen` if no image sees ground; `OSError` where files cannot be written.
     """
-    require_x64()
-    target = checked_target(path, "a mosaic")
-    files = [os.fspath(one) for one in images]
-    if len(files) != len(exposures) or not files:
-        raise ValueError(f"give an exposure for each of one image or more; got {len(files)} and {len(exposures)}.")
-    check_no_input("path", [target], files)
-    reach = Reach(allow_remote, allow_outside)
-    bands, dtype = _kind(files, reach)
+    target, files, (bands, dtype) = _checked(path, images, exposures, Reach(allow_remote, allow_outside))
     rasters, left_out = _rasters(files, exposures, terrain, crs, resolution)
     whole = _joined(f"{target}", list(rasters.values()))
     tell = (lambda *_: None) if callback is None else callback
@@ -129,6 +123,37 @@ def write_mosaic(
         with OrthoWriter(target, whole, bands=bands, dtype=dtype, tags=tags) as sink:
             known, used = _write(sink, whole, frames, terrain, tell)
     return MosaicFile(f"{target}", whole, known, used, left_out)
+
+
+def check_mosaic(
+    path: str | os.PathLike[str],
+    images: Sequence[str | os.PathLike[str]],
+    exposures: Sequence[Exposure],
+    terrain: AbstractTerrain,
+    *,
+    crs: Any = None,
+    resolution: float | int | tuple[float | int, float | int] | None = None,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Raise what `write_mosaic` raises before it rectifies, for exposures that may still change a little: not if no
+    image sees ground."""
+    target, files, _ = _checked(path, images, exposures, Reach(allow_remote, allow_outside))
+    with contextlib.suppress(NothingSeen):
+        _joined(f"{target}", list(_rasters(files, exposures, terrain, crs, resolution)[0].values()))
+
+
+def _checked(
+    path: str | os.PathLike[str], images: Sequence[Any], exposures: Sequence[Exposure], reach: Reach
+) -> tuple[pathlib.Path, list[str], tuple[int, np.dtype]]:
+    """(the mosaic's path, the names of the images, their bands and dtype)."""
+    require_x64()
+    target = checked_target(path, "a mosaic")
+    files = [os.fspath(one) for one in images]
+    if len(files) != len(exposures) or not files:
+        raise ValueError(f"give an exposure for each of one image or more; got {len(files)} and {len(exposures)}.")
+    check_no_input("path", [target], files)
+    return target, files, _kind(files, reach)
 
 
 def _kind(files: Sequence[str], reach: Reach) -> tuple[int, np.dtype]:
@@ -191,7 +216,8 @@ def _joined(name: str, rasters: list[MapRaster]) -> MapRaster:
     shape = bottom - top, right - left
     if is_too_large(*shape):
         raise ValueError(
-            f"{name}: a mosaic of {shape[0]} x {shape[1]} cells is larger than a file can be; take larger cells."
+            f"{name}: the mosaic would have {shape[0]} x {shape[1]} cells, more than a file can have; name a coarser "
+            f"resolution=."
         )
     return first.part(top, left, shape)
 

@@ -15,6 +15,7 @@ from jaxgeo import Exposure, Geodetic, Pose, Shot
 from jaxgeo.earth import WGS84
 from jaxgeo.io import MosaicFile, rectify_file, write_mosaic
 from jaxgeo.io.errors import NothingSeen
+from jaxgeo.io.mosaic import check_mosaic
 
 pytestmark = pytest.mark.costly
 UTM, CELL = "EPSG:32632", 0.9
@@ -109,17 +110,30 @@ def test_an_image_without_ground_is_left_out_and_named(here, tmp_path) -> None:
     assert not (tmp_path / "b.tif").exists()
 
 
-def test_images_that_do_not_go_together_are_refused(here, tmp_path) -> None:
+@pytest.mark.parametrize("check", [write_mosaic, check_mosaic])
+def test_images_that_do_not_go_together_are_refused(here, tmp_path, check) -> None:
     files, exposures = here
     with pytest.raises(ValueError, match="give an exposure for each"):
-        write_mosaic(tmp_path / "a.tif", files, exposures[:2], ground())
+        check(tmp_path / "a.tif", files, exposures[:2], ground())
     with rasterio.open(files[0]) as data:
         grey = data.read(1)
     other = write(tmp_path / "other.tif", grey.astype(np.uint16))
     with pytest.raises(ValueError, match=r"has bands 1 of float32, .*other\.tif 1 of uint16"):
-        write_mosaic(tmp_path / "a.tif", [files[0], other], exposures[:2], ground(), crs=UTM, resolution=2.0)
+        check(tmp_path / "a.tif", [files[0], other], exposures[:2], ground(), crs=UTM, resolution=2.0)
     with pytest.raises(ValueError, match=r"ends in \.tif"):
-        write_mosaic(tmp_path / "a.png", files, exposures, ground())
+        check(tmp_path / "a.png", files, exposures, ground())
+    with pytest.raises(ValueError, match="more than a file can have"):  # each image alone would do
+        check(tmp_path / "a.tif", files, exposures, ground(), crs=UTM, resolution=0.002)
+
+
+def test_a_check_needs_no_ground_and_writes_nothing(here, tmp_path) -> None:
+    """Orientations that are not adjusted yet may miss the ground."""
+    files, exposures = here
+    assert isinstance(exposures[0].motion, Shot)
+    up = Exposure(SENSOR, Shot(Pose(exposures[0].motion.pose.position, 0.0, np.pi, 0.0), np.zeros(0)))
+    check_mosaic(tmp_path / "a.tif", files[:1], [up], ground(), crs=UTM, resolution=2.0)
+    check_mosaic(tmp_path / "a.tif", files, exposures, ground(), crs=UTM, resolution=CELL)
+    assert not list(tmp_path.iterdir())
 
 
 def test_ellipsoid_of_the_oracle() -> None:

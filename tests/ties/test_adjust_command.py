@@ -351,6 +351,13 @@ def test_wrong_values_are_refused_before_files_are_read(tmp_path, here, options,
     assert_refused(result, words)
 
 
+def test_cells_too_small_for_a_file_are_refused_before_images_are_matched(tmp_path, here) -> None:
+    out = tmp_path / "out"
+    result = run(*here.arguments, *DATUM, "-o", out, "--mosaic", tmp_path / "m.tif", "--resolution", "0.0001")
+    assert_refused(result, "cells, more than a file can have", "name a coarser --resolution.")
+    assert not out.exists()
+
+
 def test_one_image_is_refused(tmp_path, here) -> None:
     folder = tmp_path / "images"
     folder.mkdir()
