@@ -49,7 +49,7 @@ from jaxgeo.uncertainty.track_record import TargetState
 
 POINT = Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0)
 GROUND = ConstantHeight(600.0)
-MIDDLE = (1999.5, 1499.5)
+MIDDLE, BESIDE = (1999.5, 1499.5), (4050.0, 1500.0)
 SENSOR = jaxgeo.Sensor(
     jaxgeo.FrameCamera.from_pixels(focal_px=5000.0, width=4000, height=3000),
     jaxgeo.Gimbal.fixed(),
@@ -236,13 +236,26 @@ def test_shared_errors_have_the_covariance_of_the_sources() -> None:
             np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
-# Whole tracks. Models of one structure, and as many looks, share their programs.
+# Whole tracks. Models of one structure, and as many looks (up to 16, or up to 128), share their programs.
+
+MANY = 34
+AZIMUTHS = np.linspace(-40.0, 40.0, MANY)
+
+
+def scaled(**factors: float) -> ErrorModel:
+    """The error model with the sigmas of some sources times a factor; the other ones are exact."""
+    return ErrorModel(
+        tuple(
+            dataclasses.replace(source, sigma=factors.get(source.label.split()[0], 0.0) * np.asarray(source.sigma))
+            for source in error_model().sources
+        )
+    )
 
 
 @pytest.fixture(scope="module")
 def still() -> Track:
     """A target at rest, of which all looks see exactly the same place."""
-    return track(looks_from(np.linspace(-40.0, 40.0, 6)), GROUND, error_model())
+    return track(looks_from(AZIMUTHS), GROUND, error_model())
 
 
 @pytest.mark.costly
@@ -258,33 +271,19 @@ def test_one_look_is_that_of_linear_propagation(still) -> None:
 @pytest.mark.costly
 def test_a_target_at_rest_is_fused_as_by_the_joint_covariance(still) -> None:
     """Least squares by the inverse of the joint covariance of fixes, by `joint_covariance`."""
-    looks = looks_from(np.linspace(-40.0, 40.0, 6))
+    looks = looks_from(AZIMUTHS)
     fixes = [propagate(SENSOR, shot, MIDDLE, GROUND, error_model()) for shot in looks.shots]
-    _, cov = joint_covariance(fixes, times=[10.0 * k for k in range(6)]).fused()
+    _, cov = joint_covariance(fixes, times=[10.0 * k for k in range(MANY)]).fused()
     np.testing.assert_allclose(np.asarray(still.batch.cov_enu)[:2, :2], np.asarray(cov)[:2, :2], rtol=1e-5, atol=1e-4)
     np.testing.assert_allclose(still.filtered.cov_enu[-1], still.batch.cov_enu, rtol=1e-6, atol=1e-6)
     assert float(still.batch.cov_enu[2, 2]) <= 25.0  # of the terrain's height, which looks from several sides improve
 
 
 @pytest.mark.costly
-def test_looks_in_other_order_within_a_tie_or_by_another_sensor_change_nothing(still) -> None:
-    """One sensor in two records is one flight more: with nothing that a flight shares, the same."""
-    model = ErrorModel(tuple(s for s in error_model().sources if s.label in ("position", "terrain height")))
-    whole = looks_from(np.linspace(-40.0, 40.0, 6))
-    parts = [Looks(SENSOR, whole.shots[k::2], np.tile(MIDDLE, (3, 1))) for k in (1, 0)]
-    one, two = track(whole, GROUND, model), track(parts, GROUND, model)
-    np.testing.assert_allclose(two.batch.cov_enu, one.batch.cov_enu, rtol=1e-9, atol=1e-9)
-    assert list(np.asarray(two.sensor)) == [1, 0, 1, 0, 1, 0]
-    assert list(np.asarray(two.look)) == [0, 0, 1, 1, 2, 2]
-
-
-@pytest.mark.costly
 def test_a_common_boresight_is_a_floor() -> None:
     """A hundred looks from one place end at the covariance without any fresh error, and fresh ones alone go on."""
-    fresh = sources.PixelMeasurement.from_pixels(column=10.0, row=10.0)
-    boresight = sources.Boresight.from_degrees(heading=0.1, pitch=0.1, roll=0.1)
-    single = propagate(SENSOR, looks_from([0.0]).shots[0], MIDDLE, GROUND, ErrorModel((boresight,)))
-    found = track(looks_from(np.zeros(100)), GROUND, ErrorModel((fresh, boresight)))
+    single = propagate(SENSOR, looks_from([0.0]).shots[0], MIDDLE, GROUND, scaled(boresight=1.0))
+    found = track(looks_from(np.zeros(100)), GROUND, scaled(boresight=1.0, pixel=5.0))
     difference = np.asarray(found.batch.cov_enu - single.cov_enu)[:2, :2]
     assert np.linalg.eigvalsh(difference)[0] > 0.0
     np.testing.assert_allclose(found.floor_enu[:2, :2], single.cov_enu[:2, :2], rtol=1e-4, atol=1e-4)
@@ -302,7 +301,7 @@ def test_more_errors_and_fewer_looks_never_make_it_surer(still) -> None:
     for before, after in itertools.pairwise(at_each):
         assert np.linalg.eigvalsh(before - after)[0] > -1e-6
     assert np.linalg.eigvalsh(at_each[-1] - np.asarray(still.floor_enu))[0] > -1e-6
-    larger = track(looks_from(np.linspace(-40.0, 40.0, 6)), GROUND, error_model(2.0))
+    larger = track(looks_from(AZIMUTHS), GROUND, error_model(2.0))
     np.testing.assert_allclose(larger.batch.cov_enu, 4.0 * np.asarray(still.batch.cov_enu), rtol=1e-6, atol=1e-6)
 
 
@@ -365,7 +364,7 @@ def test_a_moving_target_free_in_height_is_found_from_a_circle() -> None:
 
 @pytest.mark.costly
 def test_looks_without_parallax_leave_a_target_free_in_height_undetermined() -> None:
-    found = track(looks_from(np.zeros(6)), None, error_model(), target=AtRest(on_terrain=False))
+    found = track(looks_from(np.zeros(6)), None, error_model(), target=FREE)
     assert int(found.batch.status) == Status.weak_intersection
     assert np.isnan(np.asarray(found.batch.p_ecef)).all()
     assert "weak_intersection" in str(found)
@@ -373,26 +372,42 @@ def test_looks_without_parallax_leave_a_target_free_in_height_undetermined() -> 
 
 @pytest.mark.costly
 def test_looks_without_a_fix_are_left_out_and_named(still) -> None:
-    """A look at the sky, and a pixel that is not a number."""
-    looks = looks_from(np.linspace(-40.0, 40.0, 6))
+    """A look at the sky, a pixel that is not a number, and one beside the image."""
+    looks = looks_from(AZIMUTHS)
     up = Geodetic.from_degrees(lat=47.0, lon=11.0, height=9000.0)
     shots = list(looks.shots)
     shots[1] = Shot(Pose.looking_at(position=shots[1].pose.position, point=up), time=10.0)
     uvs = np.array(looks.uvs)
-    uvs[5] = np.nan
+    uvs[5], uvs[6] = np.nan, BESIDE
     found = track(Looks(SENSOR, shots, uvs), GROUND, error_model())
-    assert [Status(int(code)).name for code in np.asarray(found.status)[[1, 5]]] == ["rises_away", "invalid_input"]
-    assert list(np.asarray(found.used)) == [True, False, True, True, True, False]
+    lost = [Status(int(code)).name for code in np.asarray(found.status)[[1, 5, 6]]]
+    assert lost == ["rises_away", "invalid_input", "outside_image"]
+    assert list(np.flatnonzero(~np.asarray(found.used))) == [1, 5, 6]
     text = str(found)
-    assert "Left out 1 of 6 looks (1): rises_away" in text
-    assert "Left out 1 of 6 looks (5): invalid_input" in text
-    assert list(np.asarray(found.degrees)) == [0, 0, 2, 2, 2, 0]
-    rest = [0, 2, 3, 4]
+    assert "Left out 1 of 34 looks (1): rises_away" in text
+    assert "Left out 1 of 34 looks (5): invalid_input" in text
+    assert "Left out 1 of 34 looks (6): outside_image" in text
+    assert list(np.asarray(found.degrees)[:8]) == [0, 0, 2, 2, 2, 0, 0, 2]
+    rest = [k for k in range(MANY) if k not in (1, 5, 6)]
     alone = track(Looks(SENSOR, [shots[k] for k in rest], uvs[rest]), GROUND, error_model())
     np.testing.assert_allclose(found.batch.cov_enu, alone.batch.cov_enu, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(found.filtered.p_ecef[-1], alone.filtered.p_ecef[-1], atol=1e-6)
-    with pytest.raises(ValueError, match="needs 1 or more looks that can be used; got 0 of 6 looks; the others: 6 inv"):
-        track(Looks(SENSOR, looks.shots, np.full((6, 2), np.nan)), GROUND, error_model())
+    with pytest.raises(
+        ValueError, match="needs 1 or more looks that can be used; got 0 of 34 looks; the others: 34 inv"
+    ):
+        track(Looks(SENSOR, looks.shots, np.full((MANY, 2), np.nan)), GROUND, error_model())
+
+
+@pytest.mark.costly
+def test_a_look_beside_the_image_is_left_out_of_a_track_free_in_height() -> None:
+    looks = looks_from(np.linspace(0.0, 300.0, 12))
+    uvs, rest = np.array(looks.uvs), [k for k in range(12) if k != 4]
+    uvs[4] = BESIDE
+    found = track(Looks(SENSOR, looks.shots, uvs), None, error_model(0.01), target=FREE)
+    assert list(np.flatnonzero(np.asarray(found.status) == Status.outside_image)) == [4]
+    kept = Looks(SENSOR, [looks.shots[k] for k in rest], uvs[rest])
+    alone = track(kept, None, error_model(0.01), target=FREE)
+    np.testing.assert_allclose(found.batch.cov_enu, alone.batch.cov_enu, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.costly
@@ -400,8 +415,8 @@ def test_other_numbers_of_looks_compile_nothing(still, caplog) -> None:
     """Neither do other positions, errors, and times."""
     str(still)
     with jax.log_compiles():
-        found = track(looks_from(np.linspace(-30.0, 30.0, 9), step=3.0), GROUND, error_model(1.5))
-        assert found.overconfidence.shape == (9,)
+        found = track(looks_from(np.linspace(-30.0, 30.0, 51), step=3.0), GROUND, error_model(1.5))
+        assert found.overconfidence.shape == (51,)
     assert not [record for record in caplog.records if "Finished XLA compilation" in record.getMessage()]
 
 
@@ -409,13 +424,13 @@ def test_other_numbers_of_looks_compile_nothing(still, caplog) -> None:
 def test_words_of_a_track(still) -> None:
     text = str(still)
     assert text.startswith(
-        "Target at rest, on the terrain: 6 looks used of 1 sensor in 50 s. At the last: 47.000000 deg"
+        "Target at rest, on the terrain: 34 looks used of 1 sensor in 330 s. At the last: 47.000000 deg"
     )
     claims = f"{float(still.independent.ce90[-1]):.3g} m, and has {float(still.actual_ce90[-1]):.3g} m"
     assert f"A filter of independent looks claims CE90 {claims}" in text
     assert "Innovations are smaller than the model says" in text  # the pixels are exact
     assert not still.is_consistent
-    assert str(still.filtered).startswith("6 of 6 states are determined; the last: 47.000000 deg")
+    assert str(still.filtered).startswith("34 of 34 states are determined; the last: 47.000000 deg")
 
 
 def test_errors_that_are_not_normal_count_by_their_variance() -> None:
@@ -530,14 +545,18 @@ def test_wrong_kinds_are_named(looks, errors, target, message) -> None:
 
 @pytest.mark.costly
 def test_fewer_looks_than_unknowns_are_refused() -> None:
+    uvs = np.full((MANY, 2), np.nan)
+    uvs[3] = MIDDLE
+    one = Looks(SENSOR, looks_from(AZIMUTHS).shots, uvs)
     with pytest.raises(
         ValueError, match=r"target at constant velocity, on the terrain has 4 unknowns, .* it needs 2 or"
     ):
-        track(looks_from([0.0]), GROUND, error_model(), target=ConstantVelocity())
+        track(one, GROUND, error_model(), target=ConstantVelocity())
+    at_once = looks_from(AZIMUTHS, step=0.0)
     with pytest.raises(ValueError, match="needs looks at different times; all are at 0 s"):
-        track(looks_from([0.0, 40.0], step=0.0), GROUND, ErrorModel((PIXEL,)), target=ConstantVelocity())
+        track(at_once, GROUND, scaled(pixel=1.0), target=ConstantVelocity())
     with pytest.raises(ValueError, match="free in height has 3 unknowns"):
-        track(looks_from([0.0]), None, ErrorModel((PIXEL,)), target=AtRest(on_terrain=False))
+        track(looks_from([0.0]), None, error_model(), target=AtRest(on_terrain=False))
     with pytest.raises(TypeError, match="terrain must be a jaxgeo terrain"):
         track(looks_from([0.0]), None, ErrorModel((PIXEL,)))
 
@@ -577,14 +596,6 @@ def test_the_ground_is_one_for_all_sensors() -> None:
     np.testing.assert_array_equal(found.columns[0], found.columns[1])
 
 
-@pytest.mark.costly
-@pytest.mark.parametrize("sharing", [TimeCorrelated(1e4), PerFlight()], ids=["fading", "flight"])
-def test_more_sensors_at_one_place_do_not_level_the_ground(sharing: AbstractSharing) -> None:
-    steady = ErrorModel((PIXEL, sources.TerrainHeight.from_metres(20.0, sharing=sharing)))
-    one, four = (track([looks_from([0.0, 0.0])] * count, GROUND, steady).batch for count in (1, 4))
-    assert float(four.le90) > 0.98 * float(one.le90) > 30.0
-
-
 def hilly(heights: Any) -> jaxgeo.Dem:
     """A terrain of 121 x 121 posts, 30 m apart, about the point, by its heights at places east of it in m."""
     row = heights(np.arange(121) * 30.0 - 1800.0)
@@ -604,6 +615,36 @@ def looks_towards(east: float, up: float, above: float, count: int = 1, rows: An
     return Looks(SENSOR, shots, np.array([(MIDDLE[0], MIDDLE[1] + row) for row in rows]))
 
 
+def ground_errors(pixel: float, *, fading: float = 0.0, flight: float = 0.0) -> ErrorModel:
+    """Fresh ones of the pixel (px), and those of the ground (m) that fade and that a flight shares: one structure, and
+    so one set of programs, whatever the number of sensors."""
+    height = sources.TerrainHeight.from_metres
+    fades = height(fading, sharing=TimeCorrelated(1e4))
+    return ErrorModel(
+        (sources.PixelMeasurement.from_pixels(column=pixel, row=pixel), fades, height(flight, sharing=PerFlight()))
+    )
+
+
+@pytest.mark.costly
+def test_looks_in_other_order_within_a_tie_or_by_another_sensor_change_nothing() -> None:
+    """One sensor in two records is one flight more: with nothing of its own that a flight shares, the same."""
+    model, ground = ground_errors(20.0, fading=3.0, flight=4.0), hilly(lambda x: 600.0 + 0.0 * x)
+    whole = looks_from(np.linspace(-40.0, 40.0, 6))
+    parts = [Looks(SENSOR, whole.shots[k::2], np.tile(MIDDLE, (3, 1))) for k in (1, 0)]
+    one, two = track(whole, ground, model), track(parts, ground, model)
+    np.testing.assert_allclose(two.batch.cov_enu, one.batch.cov_enu, rtol=1e-9, atol=1e-9)
+    assert list(np.asarray(two.sensor)) == [1, 0, 1, 0, 1, 0]
+    assert list(np.asarray(two.look)) == [0, 0, 1, 1, 2, 2]
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("sharing", ["fading", "flight"])
+def test_more_sensors_at_one_place_do_not_level_the_ground(sharing: str) -> None:
+    steady, ground = ground_errors(1.0, **{sharing: 20.0}), hilly(lambda x: 600.0 + 0.0 * x)
+    one, four = (track([looks_from([0.0, 0.0])] * count, ground, steady).batch for count in (1, 4))
+    assert float(four.le90) > 0.98 * float(one.le90) > 30.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("east", [0.0, 1700.0, 1794.0, 1799.0], ids="{:g} m".format)
 def test_a_look_beside_the_edge_of_the_terrain_is_that_of_linear_propagation(east: float) -> None:
@@ -620,7 +661,7 @@ def test_the_filter_takes_the_first_looks_anew_where_the_ground_is_curved() -> N
     ridge = hilly(lambda x: 600.0 + 150.0 * np.exp(-((x / 200.0) ** 2)))
     rows = (60.0, -70.0, 50.0, -30.0, 10.0, -20.0)
     looks = looks_towards(-60.0, 130.0, 1500.0, 6, rows)
-    errors = ErrorModel((dataclasses.replace(PIXEL, sigma=np.array([60.0, 60.0])),))
+    errors = ground_errors(60.0)
     found = track(looks, ridge, errors)
     for count in (2, 4, 6):
         first = Looks(SENSOR, looks.shots[:count], looks.uvs[:count])
@@ -632,7 +673,7 @@ def test_the_filter_takes_the_first_looks_anew_where_the_ground_is_curved() -> N
 @pytest.mark.costly
 def test_looks_that_fit_two_ridges_are_called_ambiguous() -> None:
     ridges = hilly(lambda x: 600.0 + 200.0 * (np.exp(-(((x + 300) / 80) ** 2)) + np.exp(-(((x - 300) / 80) ** 2))))
-    errors = ErrorModel((dataclasses.replace(PIXEL, sigma=np.array([30.0, 30.0])),))
+    errors = ground_errors(30.0)
     found = track(looks_towards(-290.0, 197.0, 400.0, 5, (30.0, 30.0, -40.0, -40.0, -40.0)), ridges, errors)
     assert found.apart > 500.0
     assert found.is_ambiguous
