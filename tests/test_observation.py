@@ -48,7 +48,7 @@ MORE = {
     "sigma_points": (uncertainty.sigma_points, (GROUND, ERRORS), {}),
     "gauss_helmert": (uncertainty.gauss_helmert, (GROUND, ERRORS), {}),
 }
-LONG = {"propagate"}
+LONG = {"at_range", "propagate"}
 LATER = {*MORE, "accuracy without samples"}  # the last is in `test_accuracy`, of many observations
 OF_EXPOSURE = {"project": (jaxgeo.project, (POINT,), {})}
 AIMING = {
@@ -101,7 +101,7 @@ def vars_of(found: object) -> object:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("kind", EXPOSURES)
+@pytest.mark.parametrize("kind", ["shot", "shot in air", pytest.param("trajectory", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", OF_EXPOSURE)
 def test_an_exposure_stands_for_sensor_and_shot(name: str, kind: str) -> None:
     function, rest, named = OF_EXPOSURE[name]

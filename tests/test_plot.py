@@ -183,7 +183,7 @@ def assert_apart(ax: Axes) -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("width", [COLUMN, PAGE])
+@pytest.mark.parametrize("width", [COLUMN, pytest.param(PAGE, marks=pytest.mark.slow)])  # where there is more room
 def test_all_conventions_fit_into_one_figure(width) -> None:
     figure = plot.conventions_figure(width)
     assert figure.get_figwidth() == width

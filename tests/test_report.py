@@ -32,6 +32,7 @@ from jaxgeo.report.details import chosen, region_of
 from jaxgeo.report.map import draw_region, map_of
 from jaxgeo.report.places import places_of, rings_of
 from jaxgeo.uncertainty import Method, sources
+from tests.support import looks
 from tests.support.clouds import cloud, normal
 
 DJI = {
@@ -268,8 +269,8 @@ def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
 @pytest.mark.costly
 def test_an_ellipse_is_drawn_where_it_is_true_and_a_region_in_its_place_where_it_is_not() -> None:
     """On level ground; with its figures by samples the same fix has no ellipse, and no circle beside the region."""
-    sensor, shot = level_sensor()
-    subject = ReportData.of(sensor, shot, (320.0, 700.0), ConstantHeight(0.0), ERRORS)
+    look = looks.level_sensor(), looks.level_shot(), looks.LEVEL_UV, looks.LEVEL  # whose programs other tests compile
+    subject = ReportData.of(*look, looks.level_errors())
     (detail,) = details_of(subject)
     assert detail.region is not None
     assert (detail.region.probability, len(detail.region.modes)) == (0.9, 1)

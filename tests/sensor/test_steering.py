@@ -134,7 +134,7 @@ def test_a_deflected_vertical_moves_what_lies_below(reference):
     sensor, down = Sensor(FRAME, gimbal, Mount.forward()), [0.0, -np.pi / 2, 0.0]
     height = 5000.0
     fixes = []
-    for deflection in (None, TILTED):
+    for deflection in (Deflection.from_arcseconds(xi=0.0, eta=0.0), TILTED):
         pose = Pose.from_degrees(lat=46.0, lon=7.0, height=height, deflection=deflection)
         fixes.append(locate(sensor, Shot(pose, down), (999.5, 749.5), ConstantHeight(0.0)).position)
     north = float(fixes[1].lat - fixes[0].lat) * 6.3674e6  # the meridian's radius there
@@ -149,13 +149,13 @@ def test_the_deflection_is_a_least_rotation_and_its_derivative_is_exact():
     assert abs(float(turn[2])) < 1e-15  # none about the vertical: headings stay
     assert float(jnp.linalg.norm(turn)) == pytest.approx(np.deg2rad(np.hypot(XI, ETA) / 3600.0), rel=1e-9)
 
-    @jax.jit
     def below(xi):
         pose = Pose(START.pose.position, 0.3, 0.1, 0.0, Deflection(xi, 1e-4))
         return locate(SENSOR, Shot(pose, [0.5, 0.0]), (999.5, 749.5), ConstantHeight(0.0)).ecef
 
-    J, step = jax.jit(jax.jacfwd(below))(1e-4), 1e-4
-    difference = (below(1e-4 + step) - below(1e-4 - step)) / 2.0
+    below_and_J, step = jax.jit(lambda xi: jax.jvp(below, (xi,), (1.0,))), 1e-4
+    J = below_and_J(1e-4)[1]
+    difference = (below_and_J(1e-4 + step)[0] - below_and_J(1e-4 - step)[0]) / 2.0
     np.testing.assert_allclose(J * step, difference, rtol=0, atol=1e-5)
     for wrong in (500.0, np.nan):
         with pytest.raises(ValueError, match="arc seconds"):

@@ -21,8 +21,8 @@ class Derivatives(NamedTuple):
 
 def derivatives_at_zero(f: Callable[[jax.Array], jax.Array], size: int, step: float) -> Derivatives:
     """Derivatives of `f` by each of `size` numbers at zero; differences are central, of fourth order, for a step."""
-    forward, reverse, differences, second_differences = first_derivatives_at_zero(f, size, step)
-    second = jax.jacfwd(jax.jacrev(f))(jnp.zeros(size))
+    forward, differences, second_differences = _with_differences(f, size, step)
+    second, reverse = jax.jacfwd(lambda x: (jax.jacrev(f)(x),) * 2, has_aux=True)(jnp.zeros(size))
     return Derivatives(forward, reverse, second, differences, second_differences)
 
 
@@ -30,6 +30,14 @@ def first_derivatives_at_zero(
     f: Callable[[jax.Array], jax.Array], size: int, step: float
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """(forward, reverse, differences of values, differences of forward derivatives)."""
+    forward, *differences = _with_differences(f, size, step)
+    return forward, jax.jacrev(f)(jnp.zeros(size)), *differences
+
+
+def _with_differences(
+    f: Callable[[jax.Array], jax.Array], size: int, step: float
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """(forward, differences of values, differences of forward derivatives)."""
     stencil = step * jnp.array([-2.0, -1.0, 1.0, 2.0])
     shifts = (stencil[:, None, None] * jnp.eye(size)[None]).reshape(-1, size)
     with_value = jax.jacfwd(lambda x: (f(x),) * 2, has_aux=True)
@@ -40,4 +48,4 @@ def first_derivatives_at_zero(
         change = jnp.tensordot(jnp.array([1.0, -8.0, 8.0, -1.0]), x, 1)
         return jnp.moveaxis(change, 0, -1) / (12.0 * step)
 
-    return slopes[0], jax.jacrev(f)(jnp.zeros(size)), central(values), central(slopes)
+    return slopes[0], central(values), central(slopes)

@@ -142,14 +142,24 @@ def test_without_samples_one_fix_is_a_function_for_jit_vmap_and_derivatives(one:
     along = np.array([1.0, 0.0])  # px
 
     def radius(uv):
-        return accuracy(sensor, shot, uv, terrain, errors, sampling=None).circular
+        found = accuracy(sensor, shot, uv, terrain, errors, sampling=None)
+        return found.circular, (found.cov_enu, found.fix)
 
-    value_and_slope = jax.jit(lambda uv: jax.jvp(radius, (uv,), (along,)))
-    value, slope = value_and_slope(np.array(uv))
+    def derived(uv):
+        (value, more), (slope, _) = jax.jvp(radius, (uv,), (along,))
+        return value, slope, more
+
+    value_and_slope = jax.jit(derived)
+    value, slope, _ = value_and_slope(np.array(uv))
     assert float(value) == pytest.approx(float(one.circular), rel=1e-9)
     ahead, behind = (value_and_slope(np.array(uv) + step)[0] for step in (along, -along))
     assert float(slope) == pytest.approx(float(ahead - behind) / 2.0, rel=1e-3)
-    assert jax.eval_shape(jax.vmap(radius), PIXELS[0]).shape == (2,)
+    assert jax.eval_shape(jax.vmap(lambda uv: radius(uv)[0]), PIXELS[0]).shape == (2,)
+    for beside in ((2450.0, 1500.0), (1200.0, -3.0)):
+        nowhere, _, (cov_enu, fix) = value_and_slope(np.array(beside))
+        assert int(fix.status) == jaxgeo.Status.outside_image
+        for figure in (nowhere, cov_enu, fix.ecef, fix.position.lat):
+            assert np.all(np.isnan(figure))
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxgeo import ConstantHeight, Gimbal, Mount, Sensor, Shot
-from jaxgeo.terrain import HeightFunction
 from jaxgeo.uncertainty import (
     NO_FIX,
     Accuracy,
@@ -67,16 +66,22 @@ def test_each_is_as_sure_as_alone(dem, block: int) -> None:
     assert np.isnan(found.cov_enu[2]).all()
 
 
-@pytest.fixture(scope="module")
-def of_each() -> Accuracy:
-    """Over level ground: one, twice the errors, higher ground, and errors so wide that they need samples."""
-    others = looks.level_errors(0.0).sources[1:]  # none, in the form that other tests compile
-    angles = (sources.Attitude.from_degrees(heading=one, pitch=one, roll=one) for one in (0.1, 0.2, 0.1, 30.0))
-    errors = looks.stacked(*(ErrorModel((attitude, *others)) for attitude in angles))
-    ground = looks.stacked(*(ConstantHeight(height) for height in (100.0, 100.0, 1600.0, 100.0)))
+def over_level_ground(angles: list[float], heights: list[float], scale: float = 0.0) -> Accuracy:
+    """Four exposures of the same look, each with angles (deg) of its own over ground (m) of its own; the other errors
+    are those of `level_errors` of a scale."""
+    others = looks.level_errors(scale).sources[1:]
+    attitudes = (sources.Attitude.from_degrees(heading=one, pitch=one, roll=one) for one in angles)
+    errors = looks.stacked(*(ErrorModel((attitude, *others)) for attitude in attitudes))
+    ground = looks.stacked(*map(ConstantHeight, heights))
     sensors, shots = (looks.stacked(*[one] * 4) for one in (looks.level_sensor(), looks.level_shot()))
     uv = np.tile(looks.LEVEL_UV, (4, 1))
     return accuracy(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0), sampling=None)
+
+
+@pytest.fixture(scope="module")
+def of_each() -> Accuracy:
+    """Over level ground: one, twice the errors, higher ground, and errors so wide that they need samples."""
+    return over_level_ground([0.1, 0.2, 0.1, 30.0], [100.0, 100.0, 1600.0, 100.0])
 
 
 @pytest.mark.costly
@@ -109,35 +114,32 @@ def test_samples_over_terrain_that_are_not_drawn_leave_no_figures(dem) -> None:
 
 @pytest.mark.costly
 def test_slopes_profile_and_radii_are_compiled_once_for_all_cameras_and_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exposures with an axis more or a source more add the program of their derivatives only."""
+    """After those of one camera, exposures of another one, and of a source more, add their derivatives only."""
     traced = []
 
     def counted(*given):
         traced.append(given)
         return profile_of(*given)
 
+    over_level_ground([0.1] * 4, [100.0] * 4)
     monkeypatch.setattr(method_selection, "profile_of", counted)
-    ground = HeightFunction(lambda place: 100.0 + 0.0 * place.lat, 99.0, 101.0, lipschitz=0.01)  # a program of its own
-    shots, uv = looks.stacked(*[looks.level_shot()] * 3), np.tile(looks.LEVEL_UV, (3, 1))
+    ground, uv = looks.stacked(*[looks.LEVEL] * 4), np.tile(looks.LEVEL_UV, (4, 1))
     attitude = sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1)
-    given = {"in_axes": OF_SHOTS, "sampling": None}
-    one = accuracy(looks.level_sensor(), shots, uv, ground, (attitude,), **given)
-    two = accuracy(looks.level_sensor(), shots, uv, ground, (attitude, attitude), **given)
+    given = {"in_axes": (None, 0, 0, 0, None), "sampling": None}
     fixed = Sensor(looks.level_sensor().camera, Gimbal.fixed(), Mount.nadir())
-    still = looks.stacked(*[Shot(looks.level_shot().pose)] * 3)
-    accuracy(fixed, still, uv, ground, (attitude,), **given)
-    assert len(traced) == 1
+    still = looks.stacked(*[Shot(looks.level_shot().pose)] * 4)
+    one = accuracy(fixed, still, uv, ground, (attitude,), **given)
+    two = accuracy(fixed, still, uv, ground, (attitude, attitude), **given)
+    assert not traced
     np.testing.assert_allclose(two.cov_enu, 2.0 * np.asarray(one.cov_enu), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.costly
 def test_figures_are_those_of_the_method(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the facet is made to differ from the terrain profile, those of the footprint, as on level ground."""
-    shots, uv = looks.stacked(*[looks.level_shot()] * 4), np.tile(looks.LEVEL_UV, (4, 1))
-    given = looks.level_sensor(), shots, uv, ConstantHeight(100.0), looks.level_errors(0.1)
 
     def assessed() -> Accuracy:
-        return accuracy(*given, in_axes=OF_SHOTS, sampling=None)
+        return over_level_ground([0.01, 0.02, 0.03, 0.01], [100.0] * 4, 0.1)
 
     level, examined = assessed(), many_fixes._examine_block
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
@@ -21,8 +22,12 @@ ROUNDING = 1e-8  # m: two programs
 TERRAIN = (looks.sensor(), looks.shot(), looks.UV, looks.dem(), looks.few_sources())
 
 
-def errors_of(scene: Any, key: Any, indices: Any) -> Any:
-    return error_samples(*scene, key, indices)
+NUMBERS = np.r_[np.arange(3800)[::-1], 7, 7]  # of more than one block, in any order, and more than once
+
+
+@functools.partial(jax.jit, static_argnames="draws")
+def errors_of(scene: Any, key: Any, indices: Any, draws: Any = Random()) -> Any:
+    return error_samples(*scene, key, indices, draws=draws)
 
 
 @pytest.mark.costly
@@ -36,13 +41,11 @@ def errors_of(scene: Any, key: Any, indices: Any) -> Any:
     ],
 )
 def test_samples_of_these_numbers(scene, draws) -> None:
-    """Also of more than one block, in any order, and more than once."""
     expected = sample(*scene, key=KEY, count=16 * 240, keep=True, draws=draws)
-    numbers = np.r_[np.arange(3800)[::-1], 7, 7]
-    assert numbers.size > BLOCK
-    found = jax.jit(lambda *args: error_samples(*args, draws=draws))(*scene, KEY, numbers)
-    np.testing.assert_allclose(found.errors_enu, expected.errors_enu[numbers], rtol=0, atol=ROUNDING)
-    np.testing.assert_array_equal(found.status, expected.codes[numbers])
+    assert NUMBERS.size > BLOCK
+    found = errors_of(scene, KEY, NUMBERS, draws=draws)
+    np.testing.assert_allclose(found.errors_enu, expected.errors_enu[NUMBERS], rtol=0, atol=ROUNDING)
+    np.testing.assert_array_equal(found.status, expected.codes[NUMBERS])
 
 
 @pytest.mark.slow
@@ -61,7 +64,8 @@ def test_a_map_over_pixels_keys_and_numbers() -> None:
 def test_an_observation_and_shapes_of_numbers() -> None:
     one = Observation(Exposure(*SCENE[:2]), np.array(SCENE[2]))
     f = jax.jit(error_samples)
-    alone, none = f(one, *SCENE[3:], KEY, 5), f(one, *SCENE[3:], KEY, np.zeros((0, 2), int))
+    alone = f(one, *SCENE[3:], KEY, 5)
+    none = jax.eval_shape(f, one, *SCENE[3:], KEY, np.zeros((0, 2), int))
     assert alone.errors_enu.shape == (3,)
     assert alone.status.shape == ()
     assert none.errors_enu.shape == (0, 2, 3)
@@ -71,13 +75,12 @@ def test_an_observation_and_shapes_of_numbers() -> None:
 
 @pytest.mark.costly
 def test_without_a_nominal_fix_and_beyond_the_last_number() -> None:
-    f = jax.jit(errors_of)
-    nowhere = f((SENSOR, shot(20.0), *SCENE[2:]), KEY, np.arange(3))
+    nowhere = errors_of((SENSOR, shot(20.0), *SCENE[2:]), KEY, NUMBERS)
     assert np.all(nowhere.status == Status.rises_away)
     assert np.all(np.isnan(nowhere.errors_enu))
-    beyond = f(SCENE, KEY, np.array([-1, 2**32, 2**32 - 1]))
-    np.testing.assert_array_equal(beyond.status, [Status.invalid_input, Status.invalid_input, Status.hit])
-    np.testing.assert_array_equal(np.isnan(beyond.errors_enu[:, 0]), [True, True, False])
+    beyond = errors_of(SCENE, KEY, np.r_[-1, 2**32, 2**32 - 1, NUMBERS[3:]])
+    np.testing.assert_array_equal(beyond.status[:3], [Status.invalid_input, Status.invalid_input, Status.hit])
+    np.testing.assert_array_equal(np.isnan(beyond.errors_enu[:3, 0]), [True, True, False])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 import scipy.stats
 
 import jaxgeo
+from jaxgeo import Bisection, ConstantHeight
 from jaxgeo.terrain import FirstHit
 from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, propagate, sample, sources
 from jaxgeo.uncertainty.chunks import Size, make_plan
@@ -32,6 +34,7 @@ ANGLES = (
 )
 
 
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def numbers_of(draws: Sobol, size: int, leading: int, count: int, key: jax.Array) -> jax.Array:
     def one(number: jax.Array) -> jax.Array:
         for stage in draws.sample_stages(key, size, leading):
@@ -83,11 +86,12 @@ def test_numbers_are_standard_normal_and_uncorrelated() -> None:
 )
 def test_the_first_numbers_are_what_the_fix_depends_on(scene) -> None:
     """Of the variance of the fix by its Jacobian, three numbers bring about all but a thousandth."""
+    search = FirstHit() if isinstance(scene[3], ConstantHeight) else Bisection()  # which is quicker to compile
     inputs = ModelInputs.of(*scene[:4])
     model = ErrorModel(getattr(scene[4], "sources", scene[4]))
-    linear = propagate(*scene)
+    linear = propagate(*scene, search=search)
     size = Size.of(1000, 1000, tuple(jax.devices()[:1]))
-    plan, _ = make_plan(inputs, inputs.nominal_fix(FirstHit()), model, Sobol(), FirstHit(), KEY, size)
+    plan, _ = make_plan(inputs, inputs.nominal_fix(search), model, Sobol(), search, KEY, size)
     rotation: Any = plan.lines.rotation
     left, right = np.asarray(rotation.factors)
     Q = np.eye(model.size) - left.T @ right
@@ -182,18 +186,22 @@ def test_few_samples_of_each_scramble_have_the_interval_of_independent_ones() ->
     assert interval_of_scrambles(many_lost, 0.9, scrambles=16).estimate == math.inf
 
 
+@functools.cache
+def experiments() -> list[np.ndarray]:
+    """Numbers of 200 experiments."""
+    return [np.asarray(numbers_of(Sobol(), 3, 4, 5000, jax.random.key(number))) for number in range(200)]
+
+
 @pytest.mark.costly
 @pytest.mark.parametrize("count", [30, 200, 1003, 5000])
 def test_intervals_hold_as_often_as_they_say_whatever_the_number(count: int) -> None:
     """Of 200 experiments at 95 %; 90 % is 3.2 standard deviations of their count below."""
-    normals = jax.jit(lambda key: numbers_of(Sobol(), 3, 4, count, key))
     true = {}
     for probability in (0.5, 0.9, 0.99):
         true[probability] = math.sqrt(scipy.stats.chi2.ppf(probability, 2))
     held = dict.fromkeys(true, 0)
-    for number in range(200):
-        normal = np.asarray(normals(jax.random.key(number)))
-        radii = np.hypot(*(normal @ np.linalg.qr([[3.0, 1, 2], [1, 4, 1], [2, 2, 5]])[0])[:, :2].T)
+    for normal in experiments():
+        radii = np.hypot(*(normal[:count] @ np.linalg.qr([[3.0, 1, 2], [1, 4, 1], [2, 2, 5]])[0])[:, :2].T)
         for probability, radius in true.items():
             _, low, high = interval_of_scrambles(radii, probability, scrambles=16)
             held[probability] += low <= radius <= high

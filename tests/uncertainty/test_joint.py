@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,16 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, Pose, Shot
-from jaxgeo.uncertainty import ErrorModel, PerFlight, PerImage, TimeCorrelated, joint_covariance, propagate, sources
+from jaxgeo.uncertainty import (
+    ErrorModel,
+    PerFlight,
+    PerImage,
+    Propagation,
+    TimeCorrelated,
+    joint_covariance,
+    propagate,
+    sources,
+)
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, PerMeasurement, Systematic
 
 GROUND = ConstantHeight(0.0)
@@ -18,6 +29,7 @@ CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=10_000.0, width=2001, height=20
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.forward())
 TARGET = jaxgeo.Geodetic.from_degrees(lat=45.0, lon=7.0, height=0.0)
 MIDDLE = (1000.0, 1000.0)
+ANGLE = math.radians(0.03)
 
 
 def shot_from(azimuth_deg: float, *, distance: float = 20_000.0, height: float = 5000.0) -> Shot:
@@ -29,21 +41,49 @@ def shot_from(azimuth_deg: float, *, distance: float = 20_000.0, height: float =
     return Shot(Pose.looking_at(position=camera, point=TARGET))
 
 
-def attitude(sharing: AbstractSharing) -> ErrorModel:
-    return ErrorModel((sources.Attitude.from_degrees(heading=0.03, pitch=0.03, roll=0.03, sharing=sharing),))
+def looked(
+    shot: Shot,
+    uv: tuple[float, float] = MIDDLE,
+    *,
+    attitude: Any = 0.0,
+    mounting: Any = 0.0,
+    position: float = 0.0,
+    pixel: float = 0.0,
+    height: float = 0.0,
+) -> Propagation:
+    """Linear propagation of errors in rad, m and px. What is not given is exact: all models share their programs."""
+    model = ErrorModel(
+        (
+            sources.Attitude(np.full(3, attitude)),
+            sources.CameraMounting(np.full(3, mounting)),
+            sources.Position(np.full(3, position)),
+            sources.PixelMeasurement(np.full(2, pixel)),
+            sources.TerrainHeight(np.full(1, height)),
+        )
+    )
+    return propagate(SENSOR, shot, uv, GROUND, model)
+
+
+def sharing_as(fixes: list[Propagation], **sharings: AbstractSharing) -> list[Propagation]:
+    """The fixes with other sharings, by the first word of a source's name, which changes nothing in each of them."""
+    return [
+        dataclasses.replace(
+            fix,
+            model=ErrorModel(
+                tuple(
+                    dataclasses.replace(source, sharing=sharings.get(source.label.split()[0], source.sharing))
+                    for source in fix.model.sources
+                )
+            ),
+        )
+        for fix in fixes
+    ]
 
 
 @pytest.mark.costly
 def test_two_targets_in_one_frame_are_far_better_known_against_each_other() -> None:
-    model = ErrorModel(
-        (
-            *attitude(PerImage()).sources,
-            sources.Position.from_ned(north=5, east=5, down=5),
-            sources.PixelMeasurement.from_pixels(column=0.5, row=0.5),
-        )
-    )
-    shot = shot_from(90.0)
-    fixes = [propagate(SENSOR, shot, uv, GROUND, model) for uv in (MIDDLE, (1060.0, 1000.0))]
+    pixels = (MIDDLE, (1060.0, 1000.0))
+    fixes = [looked(shot_from(90.0), uv, attitude=ANGLE, position=5.0, pixel=0.5) for uv in pixels]
     vector, cov = joint_covariance(fixes, shots=[0, 0]).baseline(0, 1)
     alone = math.sqrt(float(jnp.trace(fixes[0].cov_enu)))
     apart = math.sqrt(float(jnp.trace(cov)))
@@ -57,13 +97,9 @@ def test_two_targets_in_one_frame_are_far_better_known_against_each_other() -> N
 def orthogonal_fixes(sharing: AbstractSharing):
     """Two looks at one target at right angles, with errors of 24.4 m along and 6 m across the look."""
     heading, elevation = 6.0 / 19_998.97, 24.4 / 85_604.0  # m over m per rad, as the first test of this holds
-    boresight = ErrorModel(
-        (
-            sources.Attitude(jnp.array([heading, 0.0, 0.0])),
-            sources.CameraMounting(jnp.array([0.0, elevation, 0.0]), sharing=sharing),
-        )
-    )
-    return [propagate(SENSOR, shot_from(azimuth), MIDDLE, GROUND, boresight) for azimuth in (0.0, 90.0)]
+    attitude, mounting = np.array([heading, 0.0, 0.0]), np.array([0.0, elevation, 0.0])
+    fixes = [looked(shot_from(azimuth), attitude=attitude, mounting=mounting) for azimuth in (0.0, 90.0)]
+    return sharing_as(fixes, camera=sharing)
 
 
 def axes_of(cov) -> np.ndarray:
@@ -98,12 +134,11 @@ def test_a_common_boresight_keeps_looks_from_helping_each_other() -> None:
     """From one side: independent errors average out, common ones stay, and what fades in time lies between."""
 
     def fused(sharing: AbstractSharing) -> float:
-        model = ErrorModel((*attitude(sharing).sources, sources.Position.from_ned(north=2.0, east=2.0, down=2.0)))
-        fixes = [propagate(SENSOR, shot_from(30.0), MIDDLE, GROUND, model) for _ in range(2)]
+        fixes = sharing_as([looked(shot_from(30.0), attitude=ANGLE, position=2.0)] * 2, attitude=sharing)
         return float(jnp.trace(joint_covariance(fixes, times=[0.0, 10.0]).fused()[1]))
 
     apart, some, common = (fused(sharing) for sharing in (PerImage(), TimeCorrelated(10.0), PerFlight()))
-    single = float(jnp.trace(propagate(SENSOR, shot_from(30.0), MIDDLE, GROUND, attitude(PerImage())).cov_enu))
+    single = float(jnp.trace(looked(shot_from(30.0), attitude=ANGLE).cov_enu))
     assert apart == pytest.approx(0.5 * single, rel=0.1)
     assert common > single  # all of the attitude's, and half of the position's
     assert some == pytest.approx(apart + math.exp(-1.0) * (common - apart), rel=0.05)
@@ -119,8 +154,8 @@ def test_a_common_boresight_shows_in_orthogonal_looks() -> None:
 
 @pytest.mark.costly
 def test_joint_covariance_is_one() -> None:
-    model = ErrorModel((*attitude(PerFlight()).sources, sources.TerrainHeight.from_metres(3.0)))
-    fixes = [propagate(SENSOR, shot_from(azimuth), MIDDLE, GROUND, model) for azimuth in (0.0, 40.0)]
+    fixes = [looked(shot_from(azimuth), attitude=ANGLE, height=3.0) for azimuth in (0.0, 40.0)]
+    fixes = sharing_as(fixes, attitude=PerFlight())
     joint = joint_covariance(fixes)
     np.testing.assert_allclose(joint.cov_ecef, joint.cov_ecef.T, atol=1e-9)
     np.testing.assert_allclose(joint.cov_ecef[:3, :3], fixes[0].cov_ecef, atol=1e-9)
@@ -148,10 +183,8 @@ def test_sharing(sharing: AbstractSharing, here: tuple, there: tuple, expected: 
 
 @pytest.mark.costly
 def test_models_that_differ_are_refused() -> None:
-    fix = propagate(SENSOR, shot_from(0.0), MIDDLE, GROUND, attitude(PerImage()))
-    other = propagate(
-        SENSOR, shot_from(0.0), MIDDLE, GROUND, ErrorModel((sources.Position.from_ned(north=1, east=1, down=1),))
-    )
+    fix = looked(shot_from(0.0), attitude=ANGLE)
+    other = dataclasses.replace(fix, model=ErrorModel(fix.model.sources[:3]))
     with pytest.raises(ValueError, match="other error sources"):
         joint_covariance([fix, other])
     with pytest.raises(ValueError, match="an entry for each of the 2 observations"):

@@ -164,7 +164,17 @@ def by_parts(parts: jax.Array) -> jax.Array:
     return m.circular_error(cov, parts[3], parts[4:])
 
 
-RADIUS, GRADIENT = jax.jit(by_parts), jax.jit(jax.grad(by_parts))
+RADIUS_AND_GRADIENT = jax.jit(jax.value_and_grad(by_parts))  # one program for both
+
+
+def radius_of(parts: Any) -> jax.Array:
+    return RADIUS_AND_GRADIENT(parts)[0]
+
+
+def gradient_of(parts: Any) -> jax.Array:
+    return RADIUS_AND_GRADIENT(parts)[1]
+
+
 CASES = [[[1.0, 0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0, 1.0], [0.5, -0.3]], [[4.0, 1.2, 1.0], [1.5, -0.7]]]
 CASES += [[[1.0, 0.0, 1e-4], [0.0, 0.2]], [[1.0, 0.0, 1e-4], [0.0, 0.0]]]
 
@@ -175,24 +185,24 @@ def test_gradient_is_the_central_difference(variances, bias):
     """For round errors, thin ones, and without a bias."""
     parts = jnp.array([*variances, 0.9, *bias])
     step = np.array([1e-5, 1e-5 * variances[2], 1e-5 * variances[2], 1e-5, 1e-5, 1e-5])
-    around = [(float(RADIUS(parts + d)), float(RADIUS(parts - d))) for d in np.diag(step)]
+    around = [(float(radius_of(parts + d)), float(radius_of(parts - d))) for d in np.diag(step)]
     differences = np.array([(a - b) for a, b in around]) / (2.0 * step)
     loose = 2e-14 / step + 1e-8
-    np.testing.assert_array_less(np.abs(GRADIENT(parts) - differences), loose + 1e-7 * np.abs(differences))
+    np.testing.assert_array_less(np.abs(gradient_of(parts) - differences), loose + 1e-7 * np.abs(differences))
 
 
 @pytest.mark.costly
 def test_gradient_at_the_edge_of_what_can_be():
     """A flat error: the derivative by the missing variance is one-sided; no error at all: finite, and zero."""
     flat = jnp.array([1.0, 0.0, 0.0, 0.9, 0.0, 0.0])
-    gradient = GRADIENT(flat)
+    gradient = gradient_of(flat)
     step = 1e-5
-    ahead = [float(RADIUS(flat.at[2].set(k * step))) for k in (0.0, 1.0, 2.0)]
+    ahead = [float(radius_of(flat.at[2].set(k * step))) for k in (0.0, 1.0, 2.0)]
     one_sided = (-3.0 * ahead[0] + 4.0 * ahead[1] - ahead[2]) / (2.0 * step)
     np.testing.assert_allclose(gradient[2], one_sided, atol=1e-7)
     np.testing.assert_allclose(gradient[0], 0.5 * 1.6448536269514722, rtol=1e-9)
-    np.testing.assert_array_equal(GRADIENT(jnp.array([0.0, 0.0, 0.0, 0.9, 0.0, 0.0])), np.zeros(6))
-    np.testing.assert_allclose(GRADIENT(jnp.array([0.0, 0.0, 0.0, 0.9, 3.0, 4.0]))[4:], [0.6, 0.8], rtol=1e-14)
+    np.testing.assert_array_equal(gradient_of(jnp.array([0.0, 0.0, 0.0, 0.9, 0.0, 0.0])), np.zeros(6))
+    np.testing.assert_allclose(gradient_of(jnp.array([0.0, 0.0, 0.0, 0.9, 3.0, 4.0]))[4:], [0.6, 0.8], rtol=1e-14)
 
 
 @pytest.mark.slow
@@ -202,7 +212,7 @@ def test_second_derivatives_are_differences_of_the_first(variances):
     hessian = HESSIAN(parts)
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-9)
     step = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
-    differences = [(GRADIENT(parts + d) - GRADIENT(parts - d)) / (2.0 * np.max(d)) for d in np.diag(step)]
+    differences = [(gradient_of(parts + d) - gradient_of(parts - d)) / (2.0 * np.max(d)) for d in np.diag(step)]
     np.testing.assert_allclose(hessian, np.stack(differences), atol=2e-5, rtol=2e-5)
 
 
@@ -400,6 +410,11 @@ def test_slopes_in_numpy_are_differences_of_the_radius(ratio: float, bias: tuple
     # All variances grow by a factor: so does the square of the radius, if there is no bias.
     if not mean.any():
         assert np.sum(slopes * cov) == pytest.approx(0.5 * radius(cov), rel=1e-12)
+
+
+def test_slopes_of_a_zero_covariance_are_zero() -> None:
+    """As `circular_error` says of its derivative."""
+    np.testing.assert_array_equal(host_slopes(np.zeros((2, 2)), 5.0, np.array([3.0, 4.0])), np.zeros((2, 2)))
 
 
 def test_slopes_of_needles_are_left_to_the_program() -> None:

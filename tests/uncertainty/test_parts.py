@@ -80,7 +80,7 @@ def test_parts_are_the_whole_to_the_bit(whole, cuts: tuple[int, ...]) -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("chunk", [1, 9000])
+@pytest.mark.parametrize("chunk", [1, pytest.param(9000, marks=pytest.mark.slow)])
 def test_parts_are_the_whole_to_the_bit_whatever_the_chunk(whole, chunk: int) -> None:
     assert_same_samples(part(0, 5000, chunk=chunk).merge(part(5000, COUNT, chunk=chunk)), whole)
 

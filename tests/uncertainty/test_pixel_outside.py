@@ -90,23 +90,8 @@ def _check(status: Any, figures: Any) -> None:
 
 
 @pytest.mark.costly
-def test_one_traced_pixel_outside_has_no_figures() -> None:
-    """By all functions in one program, whose fix is compiled once."""
-
-    @jax.jit
-    @jax.vmap
-    def found(uv: Any) -> dict[str, tuple[Any, Any]]:
-        return {name: function(uv) for name, function in ONE.items() if name not in LATER}
-
-    by_name = found(jnp.asarray(PIXELS))
-    assert len(by_name) == len(ONE) - len(LATER)
-    for one in by_name.values():
-        _check(*one)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LATER)
-def test_nor_has_it_by_other_functions(name: str) -> None:
+@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) if one in LATER else one for one in ONE])
+def test_one_traced_pixel_outside_has_no_figures(name: str) -> None:
     _check(*jax.jit(jax.vmap(ONE[name]))(jnp.asarray(PIXELS)))
 
 

@@ -286,10 +286,10 @@ def compiled(caplog: pytest.LogCaptureFixture, call: Callable[[], object]) -> se
 def test_another_count_or_kept_samples_compile_nothing_and_another_error_only_the_lines_of_sight(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    draw = lambda model, count: sample(*SCENE[:4], model, key=KEY, count=count)  # noqa: E731
+    draw = lambda model, count, **more: sample(*SCENE[:4], model, key=KEY, count=count, draws=Random(), **more)  # noqa: E731
     draw(MODEL, 3001)
     assert compiled(caplog, lambda: draw(MODEL, 12_004)) == set()
-    assert compiled(caplog, lambda: sample(*SCENE[:4], MODEL, key=KEY, count=3001, keep=True)) == set()
+    assert compiled(caplog, lambda: draw(MODEL, 3001, keep=True)) == set()
     other = ErrorModel((*MODEL.sources, sources.Boresight.from_degrees(heading=0.01, pitch=0.01, roll=0.01)))
     more = compiled(caplog, lambda: draw(other, 3001))
     assert "_draw_lines" in more

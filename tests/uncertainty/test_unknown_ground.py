@@ -13,7 +13,7 @@ from jax.scipy.special import ndtr
 
 from jaxgeo import Dem, Fix, Geodetic, Mount, Pose, Sensor, Shot
 from jaxgeo.earth import WGS84, R_ecef_from_enu
-from jaxgeo.terrain import ConstantHeight, FirstHit, TangentGrid
+from jaxgeo.terrain import Bisection, ConstantHeight, TangentGrid
 from jaxgeo.terrain.interface import along_path
 from jaxgeo.uncertainty import ErrorModel, Method, sources
 from jaxgeo.uncertainty.method_selection import diagnose, explain_method, select_method
@@ -147,7 +147,7 @@ def test_a_void_beside_the_line_of_sight_asks_for_samples_and_one_far_from_it_do
     for cols in (slice(50, 54), slice(70, 74)):
         terrain = level_ground(slice(75, 85), cols)  # 800 to 1100 m before the fix, 160 to 220 m below the line
         inputs = ModelInputs.of(SENSOR, shot_at(0.0), UV, terrain)
-        found = diagnose(inputs, inputs.nominal_fix(FirstHit()), ERRORS).diagnostics
+        found = diagnose(inputs, inputs.nominal_fix(Bisection()), ERRORS).diagnostics
         methods.append(Method(int(select_method(found))))
         if methods[-1] is Method.samples:
             assert float(found.known) == 1.0  # not a void of the footprint
@@ -174,7 +174,7 @@ def test_errors_that_reach_beyond_the_nadir_need_no_samples(off_nadir: float) ->
     heading, camera = math.radians(90.0), Geodetic(lat=CENTRE.lat, lon=CENTRE.lon, height=GROUND + above)
     shot = Shot(Pose(camera, heading, math.radians(off_nadir), 0.0))
     inputs = ModelInputs.of(Sensor(SENSOR.camera, SENSOR.gimbal, Mount.nadir()), shot, UV, terrain)
-    found = diagnose(inputs, inputs.nominal_fix(FirstHit()), WIDE)
+    found = diagnose(inputs, inputs.nominal_fix(Bisection()), WIDE)
 
     turn, aside, *at, up, raised = np.random.default_rng(3).standard_normal((6, 400_000))
     tangent = np.tan(np.radians(off_nadir + 3.0 * turn)), np.tan(np.radians(2.0 * aside))

@@ -49,12 +49,15 @@ def host_slopes(cov: Any, radius: Any, mean: Any) -> np.ndarray | None:
     """Derivative (2, 2) of a circular error `radius` of N(mean, cov) by its covariance.
 
     The derivative of a normal density by its covariance is half of its second derivatives by place (the heat equation),
-    so that, by Gauss's theorem, that of the probability within a circle is an integral around it. None if the arguments
-    are traced, and where the density varies too quickly along the circle for `AROUND` points.
+    so that, by Gauss's theorem, that of the probability within a circle is an integral around it. Zero for a zero
+    covariance. None if the arguments are traced, and where the density varies too quickly along the circle for
+    `AROUND` points.
     """
     if not is_direct():
         return None
     cov, mean, radius = np.asarray(cov, np.float64), np.asarray(mean, np.float64), float(radius)
+    if not cov.any():
+        return np.zeros((2, 2))
     variances = np.linalg.eigvalsh(cov)
     if not (math.isfinite(radius) and variances[0] > (STEP_MOST * radius * 2.0 * math.pi / AROUND) ** 2):
         return None
