@@ -137,29 +137,31 @@ def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(many: Acc
 
 
 @pytest.mark.costly
-def test_without_samples_one_fix_is_a_function_for_jit_vmap_and_derivatives(one: Accuracy) -> None:
-    sensor, shot, uv, terrain, errors = SCENE
-    along = np.array([1.0, 0.0])  # px
+def test_without_samples_it_is_a_function_of_pixels_for_jit_vmap_and_derivatives(many: Accuracy) -> None:
+    """Of many pixels, one of them outside the image, and, by its shape alone, of one that is mapped."""
+    sensor, shot, _, terrain, errors = SCENE
+    along = np.zeros_like(PIXELS)  # px
+    along[..., 0] = 1.0
 
-    def radius(uv):
-        found = accuracy(sensor, shot, uv, terrain, errors, sampling=None)
+    def radii(pixels):
+        found = accuracy(sensor, shot, pixels, terrain, errors, sampling=None)
         return found.circular, (found.cov_enu, found.fix)
 
-    def derived(uv):
-        (value, more), (slope, _) = jax.jvp(radius, (uv,), (along,))
-        return value, slope, more
+    @jax.jit
+    def derived(pixels):
+        (values, more), (slopes, _) = jax.jvp(radii, (pixels,), (along,))
+        return values, slopes, more
 
-    value_and_slope = jax.jit(derived)
-    value, slope, _ = value_and_slope(np.array(uv))
-    assert float(value) == pytest.approx(float(one.circular), rel=1e-9)
-    ahead, behind = (value_and_slope(np.array(uv) + step)[0] for step in (along, -along))
-    assert float(slope) == pytest.approx(float(ahead - behind) / 2.0, rel=1e-3)
-    assert jax.eval_shape(jax.vmap(lambda uv: radius(uv)[0]), PIXELS[0]).shape == (2,)
-    for beside in ((2450.0, 1500.0), (1200.0, -3.0)):
-        nowhere, _, (cov_enu, fix) = value_and_slope(np.array(beside))
-        assert int(fix.status) == jaxgeo.Status.outside_image
-        for figure in (nowhere, cov_enu, fix.ecef, fix.position.lat):
-            assert np.all(np.isnan(figure))
+    values, slopes, (cov_enu, fix) = derived(PIXELS)
+    np.testing.assert_allclose(values, many.circular, rtol=1e-9)
+    ahead, behind = (np.asarray(derived(PIXELS + way * along)[0]) for way in (1.0, -1.0))
+    seen = np.asarray(many.has_fix)
+    np.testing.assert_allclose(np.asarray(slopes)[seen], ((ahead - behind) / 2.0)[seen], rtol=1e-3)
+    np.testing.assert_array_equal(np.asarray(fix.status) == jaxgeo.Status.outside_image, ~seen)
+    for figure in (values, cov_enu, fix.ecef, fix.position.lat):
+        assert np.all(np.isnan(np.asarray(figure)[~seen]))
+        assert np.all(np.isfinite(np.asarray(figure)[seen]))
+    assert jax.eval_shape(jax.vmap(lambda uv: radii(uv)[0]), PIXELS[0]).shape == (2,)
 
 
 @pytest.mark.slow

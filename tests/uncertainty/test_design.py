@@ -22,7 +22,6 @@ a_sensor, a_shot, some_errors = looks.level_sensor, looks.level_shot, looks.leve
 
 COUNT = 11  # sigmas
 WEIGHTS = 1.0 + np.arange(COUNT) % 4
-ALONG = 1.6448536269514722  # standard deviations: the 90 % figure of an error along one line
 
 
 def propagated(errors: ErrorModel, outer: float = 60.0):
@@ -65,7 +64,7 @@ def test_errors_along_a_line_have_a_closed_form(along_a_line):
     """Of sum w s0/s with sum (a s)^2 held, Lagrange gives s^3 as w s0/a^2."""
     propagation, slopes = along_a_line
     old, slopes = np.asarray(sigmas_of(propagation.model)), np.asarray(slopes)
-    target = 0.5 * ALONG * np.sqrt(np.sum((slopes * old) ** 2))
+    target = 0.5 * float(propagation.circular_error(0.9))
     result = design(propagation, target=target, cost=InverseCost(WEIGHTS))
     expected = (WEIGHTS * old / slopes**2) ** (1.0 / 3.0)
     expected *= 0.5 * np.sqrt(np.sum((slopes * old) ** 2) / np.sum((slopes * expected) ** 2))
@@ -95,8 +94,8 @@ def test_bounds_hold_and_are_named(look, today):
 
 
 def test_a_target_out_of_reach_says_how_near_it_comes(along_a_line):
-    propagation, slopes = along_a_line
-    today = ALONG * float(np.linalg.norm(np.asarray(slopes) * np.asarray(sigmas_of(propagation.model))))
+    propagation, _ = along_a_line
+    today = float(propagation.circular_error(0.9))
     result = design(propagation, target=0.4 * today, bounds=(0.5, 2.0))
     assert result.outcome is Outcome.infeasible
     assert result.circular_error == pytest.approx(0.5 * today, rel=1e-9)

@@ -75,10 +75,10 @@ def test_an_observation_and_shapes_of_numbers() -> None:
 
 @pytest.mark.costly
 def test_without_a_nominal_fix_and_beyond_the_last_number() -> None:
-    nowhere = errors_of((SENSOR, shot(20.0), *SCENE[2:]), KEY, NUMBERS)
+    nowhere = errors_of((SENSOR, shot(20.0), *SCENE[2:]), KEY, NUMBERS, draws=Random())
     assert np.all(nowhere.status == Status.rises_away)
     assert np.all(np.isnan(nowhere.errors_enu))
-    beyond = errors_of(SCENE, KEY, np.r_[-1, 2**32, 2**32 - 1, NUMBERS[3:]])
+    beyond = errors_of(SCENE, KEY, np.r_[-1, 2**32, 2**32 - 1, NUMBERS[3:]], draws=Random())
     np.testing.assert_array_equal(beyond.status[:3], [Status.invalid_input, Status.invalid_input, Status.hit])
     np.testing.assert_array_equal(np.isnan(beyond.errors_enu[:3, 0]), [True, True, False])
 

@@ -16,6 +16,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Status, uncertainty
 from jaxgeo.uncertainty import Looks, sources
+from tests.support import looks
 
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
@@ -53,8 +54,12 @@ def _propagation(uv: Any, **options: Any) -> tuple[Any, Any]:
     return found.fix.status, (found.fix.ecef, found.jacobian, found.cov_enu, found.bias_enu)
 
 
-def _accuracy(uv: Any, **options: Any) -> tuple[Any, Any]:
-    found = jaxgeo.accuracy(SENSOR, SHOT, uv, GROUND, ERRORS, sampling=None, **options)
+SCENE = (SENSOR, SHOT, GROUND, ERRORS)
+LEVEL = (looks.level_sensor(), looks.level_shot(), looks.LEVEL, looks.level_errors())  # programs of other tests
+
+
+def _accuracy(uv: Any, scene: tuple[Any, ...] = SCENE, **options: Any) -> tuple[Any, Any]:
+    found = jaxgeo.accuracy(*scene[:2], uv, *scene[2:], sampling=None, **options)
     figures = found.circular, found.linear, found.spherical, found.cov_enu, found.bias_enu
     return found.fix.status, (found.fix.ecef, found.fix.position.lat, *figures)
 
@@ -74,10 +79,10 @@ ONE: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     "error_samples": _samples,
     "gauss_helmert": _gauss_helmert,
 }
-# The first is a second case of one function; one fix by the second one is in `test_accuracy`, many are below.
+# The first is a second case of one function; the second one is in `test_accuracy`, with its derivative.
 LATER = ("propagate over the footprint", "accuracy")
 MANY: dict[str, Callable[[Any], tuple[Any, Any]]] = {
-    "accuracy of pixels": _accuracy,
+    "accuracy of pixels": lambda uv: _accuracy(uv, LEVEL, block=4),
     "accuracy by in_axes": lambda uv: _accuracy(uv, in_axes=(None, None, 0, None, None)),
 }
 
@@ -105,9 +110,14 @@ def test_nor_has_it_under_a_vmap_alone_and_under_a_jit_alone(name: str) -> None:
 
 @pytest.mark.costly
 @pytest.mark.parametrize("name", ["accuracy of pixels", pytest.param("accuracy by in_axes", marks=pytest.mark.slow)])
-def test_of_many_pixels_each_outside_has_no_figures_traced_or_not(name: str) -> None:
+def test_of_many_pixels_each_outside_has_no_figures(name: str) -> None:
     """The first of them, too, whose arguments are checked as those of one alone."""
     _check(*MANY[name](PIXELS))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MANY)
+def test_nor_has_one_of_many_that_are_traced(name: str) -> None:
     _check(*jax.jit(MANY[name])(jnp.asarray(PIXELS)))
 
 
