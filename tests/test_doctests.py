@@ -21,10 +21,11 @@ SLOW = {  # of what they compile
     "sensor/sensor.py",
     "uncertainty/_accuracy.py",
     "uncertainty/_budget.py",
+    "uncertainty/_error_samples.py",
     "uncertainty/_simulate_looks.py",
     "uncertainty/_track.py",
 }
-COSTLY = {"adjust/intersection.py", "uncertainty/_error_samples.py"}
+COSTLY = {"adjust/intersection.py"}
 # What no reader should look for in vain: the doors through which most come.
 DOORS = {
     "__init__.py": "",

@@ -68,7 +68,7 @@ def error_samples(
 
     >>> sensor = jaxgeo.Sensor(jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000))
     >>> shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0))
-    >>> errors = jaxgeo.uncertainty.sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1)
+    >>> errors = jaxgeo.uncertainty.sources.Position.from_ned(north=1.0, east=1.0, down=2.0)
     >>> scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
     >>> import jax
     >>> found = jax.jit(jaxgeo.uncertainty.error_samples)(*scene, jax.random.key(0), np.arange(4))

@@ -238,7 +238,7 @@ def test_shared_errors_have_the_covariance_of_the_sources() -> None:
 
 # Whole tracks. Models of one structure, and as many looks (up to 16, or up to 128), share their programs.
 
-MANY = 17
+MANY = 20
 AZIMUTHS = np.linspace(-40.0, 40.0, MANY)
 
 
@@ -384,16 +384,16 @@ def test_looks_without_a_fix_are_left_out_and_named(still) -> None:
     assert lost == ["rises_away", "invalid_input", "outside_image"]
     assert list(np.flatnonzero(~np.asarray(found.used))) == [1, 5, 6]
     text = str(found)
-    assert "Left out 1 of 17 looks (1): rises_away" in text
-    assert "Left out 1 of 17 looks (5): invalid_input" in text
-    assert "Left out 1 of 17 looks (6): outside_image" in text
+    assert "Left out 1 of 20 looks (1): rises_away" in text
+    assert "Left out 1 of 20 looks (5): invalid_input" in text
+    assert "Left out 1 of 20 looks (6): outside_image" in text
     assert list(np.asarray(found.degrees)[:8]) == [0, 0, 2, 2, 2, 0, 0, 2]
     rest = [k for k in range(MANY) if k not in (1, 5, 6)]
     alone = track(Looks(SENSOR, [shots[k] for k in rest], uvs[rest]), GROUND, error_model())
     np.testing.assert_allclose(found.batch.cov_enu, alone.batch.cov_enu, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(found.filtered.p_ecef[-1], alone.filtered.p_ecef[-1], atol=1e-6)
     with pytest.raises(
-        ValueError, match="needs 1 or more looks that can be used; got 0 of 17 looks; the others: 17 inv"
+        ValueError, match="needs 1 or more looks that can be used; got 0 of 20 looks; the others: 20 inv"
     ):
         track(Looks(SENSOR, looks.shots, np.full((MANY, 2), np.nan)), GROUND, error_model())
 
@@ -424,13 +424,13 @@ def test_other_numbers_of_looks_compile_nothing(still, caplog) -> None:
 def test_words_of_a_track(still) -> None:
     text = str(still)
     assert text.startswith(
-        "Target at rest, on the terrain: 17 looks used of 1 sensor in 160 s. At the last: 47.000000 deg"
+        "Target at rest, on the terrain: 20 looks used of 1 sensor in 190 s. At the last: 47.000000 deg"
     )
     claims = f"{float(still.independent.ce90[-1]):.3g} m, and has {float(still.actual_ce90[-1]):.3g} m"
     assert f"A filter of independent looks claims CE90 {claims}" in text
     assert "Innovations are smaller than the model says" in text  # the pixels are exact
     assert not still.is_consistent
-    assert str(still.filtered).startswith("17 of 17 states are determined; the last: 47.000000 deg")
+    assert str(still.filtered).startswith("20 of 20 states are determined; the last: 47.000000 deg")
 
 
 def test_errors_that_are_not_normal_count_by_their_variance() -> None:

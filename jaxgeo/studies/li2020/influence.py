@@ -22,6 +22,7 @@ from jaxgeo.studies.li2020 import printed
 
 LOOK = {"off_nadir": math.radians(printed.OFF_NADIR), "field_of_view": math.radians(printed.FIELD_OF_VIEW)}
 START = printed.TABLE_4[0]
+ROWS = 64  # attitudes of one program
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def required_flight() -> tuple[float, float]:
 
 def _changes(attitudes: np.ndarray) -> np.ndarray:
     """Changes of the overlap (n, 3), see `_overlaps`, by attitudes (n, 3) of the second strip."""
-    return np.asarray(_overlaps(*required_flight(), attitudes)[0])
+    return _overlaps(*required_flight(), attitudes)[0]
 
 
 FORMULAS: dict[str, Callable[[np.ndarray], Array]] = {
@@ -103,9 +104,21 @@ def _attitude(angle: str, change_deg: float) -> tuple[float, float, float]:
     return {"heading": (change, 0.0, 0.0), "pitch": (0.0, change, 0.0), "roll": (0.0, 0.0, -change)}[angle]
 
 
+def _overlaps(lat: float, next_lat: float, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(changes of the overlap (n, 3): by the slant range, on the map, by Eq 16; nominal step and length on the map in
+    m), by one program for any number of attitudes."""
+    count = len(attitudes)
+    padded = np.zeros((-(-count // ROWS) * ROWS, 3))
+    padded[:count] = attitudes
+    parts = [_overlaps_of_rows(lat, next_lat, rows) for rows in padded.reshape(-1, ROWS, 3)]
+    return np.concatenate([np.asarray(changes) for changes, _ in parts])[:count], np.asarray(parts[0][1])
+
+
 @jax.jit
-def _overlaps(lat: Scalar, next_lat: Scalar, attitudes: Float[Array, "n 3"]) -> tuple[Float[Array, "n 3"], MapVector]:
-    """(changes of the overlap: by the slant range, on the map, by Eq 16; nominal step and length on the map in m)."""
+def _overlaps_of_rows(
+    lat: Scalar, next_lat: Scalar, attitudes: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n 3"], MapVector]:
+    """`_overlaps` of `ROWS` attitudes."""
     level = jnp.zeros((2, 3))
     lats = jnp.concatenate([jnp.stack([lat, next_lat]), jnp.full(attitudes.shape[0], next_lat)])
     frames = jax.vmap(_frame)(lats, jnp.concatenate([level, attitudes]))
