@@ -21,7 +21,7 @@ from bokeh.plotting import figure
 from support.drone_image_files import packet, write_image
 from typer.testing import CliRunner
 
-from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo import ConstantHeight, Pose, Sensor, Shot
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io._fix_columns import figures_of, rows_of
@@ -67,11 +67,10 @@ def seen(page: str) -> str:
 
 
 def level_sensor() -> tuple[Sensor, Shot]:
-    """A camera 800 m over level ground that looks 70 degrees off nadir; its upper rows see the sky."""
-    camera = FrameCamera.from_pixels(focal_px=500.0, width=640, height=800)
-    sensor = Sensor(camera, Gimbal.two_axis(), Mount.nadir())
-    pose = Pose.from_degrees(lat=46.0, lon=179.999, height=800.0, heading=90.0)
-    return sensor, Shot(pose, sensor.gimbal.readings_from_degrees(outer=0.0, inner=70.0))
+    """A camera 800 m over level ground that looks 85 degrees off nadir; its upper rows see the sky."""
+    sensor = looks.level_sensor()  # whose programs other tests compile
+    pose = Pose.from_degrees(lat=46.0, lon=179.98, height=800.0, heading=90.0)
+    return sensor, Shot(pose, sensor.gimbal.readings_from_degrees(outer=0.0, inner=85.0))
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +222,7 @@ def test_a_page_without_any_fix_is_written_and_the_code_says_so(tmp_path: pathli
 def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> None:
     """It has its status in words; no place, and nothing about how sure it is."""
     sensor, shot = level_sensor()
-    subject = ReportData.of(sensor, shot, (320.0, 5.0), ConstantHeight(0.0))
+    subject = ReportData.of(sensor, shot, (1200.0, 5.0), ConstantHeight(0.0))
     (detail,) = details_of(subject)
     assert (detail.checked, detail.budget) == (None, None)
     assert detail.to_dict()["because"] == "The ray rises above the highest ground without meeting the terrain."
@@ -245,7 +244,7 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
 def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
     """Across the date line, some of them of the sky."""
     sensor, shot = level_sensor()
-    uv = np.stack([np.full(40, 320.0), np.linspace(0.0, 799.0, 40)], axis=-1)
+    uv = np.stack([np.full(40, 1200.0), np.linspace(0.0, 3199.0, 40)], axis=-1)
     labels = [{"name": f"number {k}"} for k in range(40)]
     subject = ReportData.of(sensor, shot, uv, ConstantHeight(0.0), errors, labels=labels)
     found = int(subject.is_fix.sum())
@@ -323,7 +322,7 @@ def test_samples_without_a_region_say_why() -> None:
 def test_labels_are_one_for_each_pixel() -> None:
     sensor, shot = level_sensor()
     with pytest.raises(ValueError, match="one for each of 1 pixels; got 2"):
-        ReportData.of(sensor, shot, (320.0, 700.0), ConstantHeight(0.0), labels=[{"name": "a"}, {"name": "b"}])
+        ReportData.of(sensor, shot, (1200.0, 3100.0), ConstantHeight(0.0), labels=[{"name": "a"}, {"name": "b"}])
 
 
 @pytest.mark.parametrize(
