@@ -20,6 +20,7 @@ from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 from jaxgeo.terrain import ConstantHeight, Dem
 from jaxgeo.uncertainty import AccuracyCheck, Budget, ErrorModel, Region, Sampled, Sampling, budget, check_accuracy
+from jaxgeo.uncertainty.model_inputs import of_arrays
 
 SAMPLES = 20_000  # same number and key as in `accuracy`, hence the same samples
 ON_A_SIDE = 24  # points per image edge located on the ground
@@ -192,7 +193,8 @@ def _outline(sensor: Any, shot: Any, terrain: Any, atmosphere: Any) -> np.ndarra
     corners = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
     steps = np.linspace(0.0, 1.0, ON_A_SIDE, endpoint=False)[:, None]
     uv = np.concatenate([a + steps * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
-    lat, lon = (np.rad2deg(x) for x in _seen(sensor, shot, jnp.asarray(uv), terrain, atmosphere))
+    seen = _seen(sensor, shot, jnp.asarray(uv), of_arrays(terrain), atmosphere)
+    lat, lon = (np.rad2deg(x) for x in seen)
     ring = np.stack([lon, lat], axis=-1)
     return np.concatenate([ring, ring[:1]])
 
