@@ -16,12 +16,12 @@ from jaxgeo._record import portable
 from jaxgeo._renamed import renamed_argument
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
-from jaxgeo.adjust.datum import motions, unheld
+from jaxgeo.adjust.datum import Whole, motions, observed_whole, unheld
 from jaxgeo.adjust.diagnosis import Diagnosis, diagnosed
 from jaxgeo.adjust.equations import linearised
 from jaxgeo.adjust.kept import block_of, masked, set_aside
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.observing import observing
+from jaxgeo.adjust.observing import Observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.rank_defects import DeficientBlock, Direction, datum_words, weakest_directions
@@ -146,10 +146,10 @@ def adjusted(
     screened: Screen,
 ) -> Adjustment:
     """`Adjustment` from the solution of a block, if it is determined and its points are visible. Raises as `adjust`."""
+    observed, whole = _observed_whole(ready, solution)
     if solution.converged:
-        _check_parallax(block, ready, solution)
-    rows = np.asarray(_unheld(ready.problem, solution.values))
-    rows = rows[np.any(rows != 0.0, axis=1)]
+        _check_parallax(block, ready, solution, observed)
+    rows = unheld(whole)
     if len(rows) and datum is None:
         words = datum_words(rows)
         raise DeficientBlock(
@@ -162,8 +162,7 @@ def adjusted(
     held = None
     if len(rows):
         solution = _at_start(ready, solution, loss, rows)
-        rows = np.asarray(_unheld(ready.problem, solution.values))
-        rows = rows[np.any(rows != 0.0, axis=1)]
+        rows = unheld(_observed_whole(ready, solution)[1])
         held = _datum(ready.problem, solution.values, jnp.asarray(rows))
     adjustment = Adjustment(block, unknowns, ready, solution, loss, held, screened.aside)
     posterior = adjustment.posterior
@@ -182,9 +181,9 @@ def adjusted(
     return adjustment
 
 
-def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
+def _check_parallax(block: Block, ready: Prepared, solution: Solution, observed: Observing) -> None:
     """Refuse points that are unconstrained along their rays, independently of the cameras."""
-    least = _least_of_points(ready, solution)
+    least = _least_of_points(ready, solution, observed)
     lost = np.flatnonzero(~(least >= SINGULAR))
     if len(lost) == 0:
         return
@@ -198,11 +197,11 @@ def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
     )
 
 
-def _least_of_points(ready: Prepared, solution: Solution) -> np.ndarray:
+def _least_of_points(ready: Prepared, solution: Solution, observed: Observing) -> np.ndarray:
     """Smallest eigenvalue of each point's normal matrix (m,), all observations with unit weight."""
-    own, problem = ready.order.row_of_point, ready.problem
-    free = np.asarray(problem.free_point)[own]
-    weighted, alike = (np.asarray(x)[own] * free[:, None, :] for x in _observed_points(problem, solution.values))
+    own = ready.order.row_of_point
+    free = np.asarray(ready.problem.free_point)[own]
+    weighted, alike = (x[own] * free[:, None, :] for x in _observed_points(observed))
     normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
     of_images = (normal - np.einsum("mki,mkj->mij", weighted, weighted)) * free[:, :, None] * free[:, None, :]
     size = np.trace(of_images, axis1=1, axis2=2)[:, None, None]
@@ -219,17 +218,15 @@ def _in_parts(block: Block) -> str:
     return f" No point joins the {len(parts)} parts of the block ({named}{'; ...' if len(parts) > 3 else ''})."
 
 
-@batch_filter_jit
-def _unheld(problem: Any, values: Any) -> Any:
-    return unheld(problem, values)
+def _observed_whole(ready: Prepared, solution: Solution) -> tuple[Observing, Whole]:
+    return observed_whole(ready.problem, solution.values, solution.equations.control_root)
 
 
-@batch_filter_jit
-def _observed_points(problem: Any, values: Any) -> list[Any]:
+def _observed_points(observed: Observing) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of control and terrain by each point (rows, 4, 3), with their weights and with unit weights."""
-    observed = observing(problem, values)
-    each = (observed, observed.alike(jnp.ones(())))
-    return [jnp.concatenate([x.control, x.terrain[:, None]], axis=1) for x in each]
+    weighted = np.concatenate([observed.control, observed.terrain[:, None]], axis=1)
+    weights = np.concatenate([observed.weights[0], observed.weights[1][:, None]], axis=1)[:, :, None]
+    return weighted, np.where(weights > 0.0, weighted / np.where(weights > 0.0, weights, 1.0), 0.0)
 
 
 @batch_filter_jit

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
@@ -72,13 +74,20 @@ def _measured(problem: Problem) -> Array:
     return jnp.zeros(problem.free_point.shape[0]).at[problem.layout.row].max(there) > 0.0
 
 
-def whole_of(problem: Problem, values: Values, observed: Observing | None = None) -> Whole:
+@batch_filter_jit
+def observed_whole(problem: Problem, values: Values, control_root: Float[Array, " rows"]) -> tuple[Observing, Whole]:
+    """Observations other than image points, and the motions of the whole that they constrain: one program for all that
+    asks for either."""
+    observed = observing(problem, values, control_root)
+    return observed, whole_of(problem, values, observed)
+
+
+def whole_of(problem: Problem, values: Values, observed: Observing) -> Whole:
     """Motions of the whole that are constrained, from the form of the observations, independent of their weights.
 
     Image points constrain none of them: pixels do not change when cameras and points move together. A motion is
     constrained if it changes an observed coordinate of control, navigation or terrain, or a fixed parameter.
     """
-    observed = observing(problem, values) if observed is None else observed
     poses, points, middle, size = _motions(problem, values)
     to_lengths = jnp.concatenate([jnp.ones(3), jnp.full(3, size)])
     fixed_poses = poses * to_lengths[None, None] * (1.0 - problem.free_pose)[None]
@@ -105,7 +114,6 @@ def _noticed(combos: Float[Array, "7 7"], allowed: Float[Array, "7"], rows: Floa
     return combos, (jnp.max(jnp.abs(combos @ rows), axis=1, initial=0.0) > HELD).astype(jnp.float64)
 
 
-def unheld(problem: Problem, values: Values) -> Float[Array, "7 7"]:
-    """Rows: unconstrained combinations of `MOTIONS`; zero for constrained ones."""
-    whole = whole_of(problem, values)
-    return whole.combos * whole.free[:, None]
+def unheld(whole: Whole) -> Float[np.ndarray, "d 7"]:
+    """The unconstrained combinations of `MOTIONS`."""
+    return np.asarray(whole.combos)[np.asarray(whole.free) > 0.0]

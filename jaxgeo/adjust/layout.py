@@ -19,6 +19,7 @@ MOST_UNLIKE = 3  # times the mean number of measurements per image, up to which 
 DENSE_COLUMNS = 1600  # of the reduced system, up to which it is one slab and chunks may be dense
 DENSE_BYTES, DENSE_POINTS = 48_000_000, 64  # bytes of a dense chunk's rows; its least number of points
 POINTS = (16, 32, 64, 128, 256)  # per sparse chunk, which has the columns of the images that see its points only
+LEAST_STEP = 32  # of points in a dense chunk and of measurements in an image: below it, compiling takes far longer
 BATCH_BYTES = 8_000_000  # of the matrix products of a batch of chunks
 # # Cost model in ns: multiply-add, gather per number, scatter-add per number, overhead per chunk.
 MULTIPLY, GATHER, SCATTER, BEGIN = 0.04, 1.5, 8.0, 3000.0
@@ -173,7 +174,7 @@ def _chunking(image_of_ray: np.ndarray, n: int, c: int, dense: bool) -> tuple[in
         most = max(DENSE_POINTS, DENSE_BYTES // (24 * n * c))
         chunks = -(-points // most)
         cost = chunks * BEGIN + points * (6.0 * (n * c) ** 2 * MULTIPLY + 3.0 * n * c * GATHER)
-        best = (cost, rounded(-(-points // chunks)), chunks, 1, True)
+        best = (cost, rounded(-(-points // chunks), LEAST_STEP), chunks, 1, True)
     for size in POINTS:
         chunks = rounded(-(-points // size))
         there = np.zeros((chunks, n + 1), bool)
@@ -189,9 +190,10 @@ def _chunking(image_of_ray: np.ndarray, n: int, c: int, dense: bool) -> tuple[in
     return best[1:]
 
 
-def rounded(count: int) -> int:
-    """A count rounded up by at most a sixteenth, so that blocks of similar size share shapes and compiled programs."""
-    step = 2 ** max(0, count.bit_length() - 5)
+def rounded(count: int, least_step: int = 1) -> int:
+    """A count rounded up by at most a sixteenth, or to a multiple of the least step, so that blocks of similar size
+    share shapes and compiled programs."""
+    step = max(2 ** max(0, count.bit_length() - 5), least_step)
     return -(-count // step) * step
 
 
@@ -217,7 +219,7 @@ def _by_image(image: np.ndarray, there: np.ndarray, n: int) -> tuple[np.ndarray,
     places = places[np.argsort(image[places], kind="stable")]
     counts = np.bincount(image[places], minlength=n)
     mean, most = -(-len(places) // n), int(counts.max())
-    width = rounded(most if most <= MOST_UNLIKE * mean else mean)
+    width = rounded(most if most <= MOST_UNLIKE * mean else mean, LEAST_STEP)
     rows = np.maximum(-(-counts // width), 1)
     owner = np.repeat(np.arange(n), rows)
     table = np.full((len(owner), width), len(image) - 1)

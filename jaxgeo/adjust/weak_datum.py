@@ -17,15 +17,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
-from jaxgeo.adjust.datum import whole_of
+from jaxgeo.adjust.datum import Whole, observed_whole
 from jaxgeo.adjust.equations import Equations
-from jaxgeo.adjust.observing import observing
+from jaxgeo.adjust.observing import Observing
 from jaxgeo.adjust.reduction import Eliminated, along_points, backward_rows, condensed, solve_reduced, times_inverse
 from jaxgeo.adjust.values import Values
 from jaxgeo.rotations import R_from_rotation_vector
@@ -103,11 +104,16 @@ def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: 
     return motions if are_weak(motions) else None
 
 
-@batch_filter_jit
 def motions_apart(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions:
     """The constrained motions, scaled by the reduced normal equations."""
-    observed = observing(problem, values, equations.control_root)
-    whole = whole_of(problem, values, observed)
+    observed, whole = observed_whole(problem, values, equations.control_root)
+    return _motions_apart(problem, equations.images, matrix, observed, whole)
+
+
+@batch_filter_jit
+def _motions_apart(
+    problem: Problem, of_images: Float[Array, "n c c"], matrix: Tridiagonal, observed: Observing, whole: Whole
+) -> Motions:
     combos = whole.combos * (whole.held + whole.free)[:, None]
     images, points = (jnp.einsum("dm,m...->d...", combos, x) for x in (whole.images, whole.points))
     band, (first, count) = problem.layout.band, _slabs(problem.layout.band)
@@ -126,7 +132,7 @@ def motions_apart(problem: Problem, values: Values, equations: Equations, matrix
         holds * (kept + free)[:, None, None],
         observed.normal(images, points),
         rows @ rows.T,
-        jnp.sum(images**2 * jnp.diagonal(equations.images, axis1=1, axis2=2)[None], axis=(1, 2)),
+        jnp.sum(images**2 * jnp.diagonal(of_images, axis1=1, axis2=2)[None], axis=(1, 2)),
         rows @ observed.residuals,
         kept,
         free,
@@ -137,12 +143,8 @@ def motions_apart(problem: Problem, values: Values, equations: Equations, matrix
 
 def are_weak(motions: Motions) -> bool:
     """Whether any motion is weakly constrained."""
-    return bool(_any_weak(motions))
-
-
-@batch_filter_jit
-def _any_weak(motions: Motions) -> Array:
-    return jnp.any((motions.kept > 0.0) & (jnp.diagonal(motions.weight) < WEAK * motions.of_parts))
+    kept, weight, of_parts = (np.asarray(x) for x in (motions.kept, motions.weight, motions.of_parts))
+    return bool(np.any((kept > 0.0) & (np.diagonal(weight) < WEAK * of_parts)))
 
 
 def _slabs(band: Band) -> tuple[int, int]:

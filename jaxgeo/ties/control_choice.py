@@ -8,14 +8,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from jaxgeo._compile import batch_filter_jit
 from jaxgeo.adjust import Adjustment, Block, HeightObservations, LeastSquares, Unknowns
-from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.bundle import adjusted
+from jaxgeo.adjust.datum import observed_whole
 from jaxgeo.adjust.kept import Kept, block_of, masked, set_aside
-from jaxgeo.adjust.observing import observing
 from jaxgeo.adjust.problem import prepared
 from jaxgeo.adjust.screening import Screen
 from jaxgeo.adjust.solve import solve
@@ -102,7 +100,7 @@ def improbable(found: Adjustment, control: MapControl) -> list[str]:
     names = [str(name) for name in found.images.name]
     residuals, Q = found.pose_residuals, found.covariance
     assert residuals is not None
-    derivatives = np.asarray(_derivatives(found.prepared.problem, found.solution.values))
+    derivatives = _derivatives(found)
     chances = {}
     for name in control.names:
         row = names.index(name)
@@ -122,8 +120,8 @@ def chance(residuals: np.ndarray, covariance: np.ndarray) -> float:
     return float(scipy.stats.chi2.logsf(squared, len(residuals)))
 
 
-@batch_filter_jit
-def _derivatives(problem: Problem, values: Values) -> Float[Array, "n r columns"]:
+def _derivatives(found: Adjustment) -> Float[np.ndarray, "n r columns"]:
     """Derivatives of the further observations of orientations by the pose and the shared unknowns."""
-    observed = observing(problem, values)
-    return jnp.concatenate([observed.by_pose, observed.by_shared], axis=2)[:, 6:]
+    solution = found.solution
+    observed, _ = observed_whole(found.prepared.problem, solution.values, solution.equations.control_root)
+    return np.concatenate([observed.by_pose, observed.by_shared], axis=2)[:, 6:]
