@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._checks import as_float64, concrete, require_x64
+from jaxgeo._compile import is_direct
 from jaxgeo._numerics import all_finite, finite_or, safe_angle
 from jaxgeo._typing import ExtentField, Flag, FlagField, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
@@ -213,7 +215,7 @@ class Dem(AbstractTerrain):
             a, b, c, d = (void.at[post].get(mode="promise_in_bounds") for post in corners)
             return a | b | c | d
 
-        is_void = jax.lax.cond(self.has_void, touches_void, lambda: jnp.zeros_like(first, dtype=bool))
+        is_void = self._if_void(touches_void, lambda: jnp.zeros_like(first, dtype=bool))
         is_void = is_void | ~jnp.isfinite(heights[0] + heights[1] + heights[2] + heights[3])
         if self.field is not None:
             more = self.field.at_corners(row, col)
@@ -284,7 +286,13 @@ class Dem(AbstractTerrain):
         posts = jnp.stack([first, first + 1, first + cols, first + cols + 1])
         void = jnp.asarray(self.void).reshape(-1)
         touch = lambda: jnp.any(void.at[posts].get(mode="promise_in_bounds"), axis=0)  # noqa: E731
-        return jax.lax.cond(self.has_void, touch, lambda: jnp.zeros(first.shape, bool))
+        return self._if_void(touch, lambda: jnp.zeros(first.shape, bool))
+
+    def _if_void(self, touches: Callable[[], Array], nothing: Callable[[], Array]) -> Array:
+        """What of two is computed, by whether there are voids; called directly, without compiling a condition."""
+        if is_direct():
+            return touches() if bool(self.has_void) else nothing()
+        return jax.lax.cond(self.has_void, touches, nothing)
 
     def normal_at(self, position: Geodetic) -> Vector3:
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as `height_at`."""
