@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo._destination import destination
 from jaxgeo.cli import app

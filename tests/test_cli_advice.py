@@ -8,8 +8,8 @@ import shlex
 from typing import Any
 
 import pytest
+from support.command_runner import CliRunner
 from support.drone_image_files import CAMERA, PLACE, packet, write_image
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._option_names import as_typed

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 import rasterio
 from support.command_files import prepare
+from support.command_runner import CliRunner
 from support.tile_server import Served, serving, write_archive, write_geoid
 from test_cli_dem import LINES, URL, commands_with_dem
-from typer.testing import CliRunner
 
 import jaxgeo
 from jaxgeo.cli import app

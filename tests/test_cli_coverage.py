@@ -9,7 +9,7 @@ import pathlib
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo import coverage
 from jaxgeo.cli import app

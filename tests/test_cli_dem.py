@@ -12,8 +12,8 @@ import pytest
 import typer
 from rasterio.transform import Affine
 from support.command_files import prepare
+from support.command_runner import CliRunner
 from support.rasters import DEGREE, gdalbuildvrt, hills, write
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._option_names import dem_as_typed

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import pytest
 import typer
 from support.command_files import prepare
+from support.command_runner import CliRunner
 from support.tile_server import mirrored
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._examples import EXAMPLES

@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 
 import pytest
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app, doctor
 from jaxgeo.cli.doctor import CHECKS, State, _guarded, _needed_by

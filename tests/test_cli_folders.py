@@ -14,9 +14,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from pyogrio import raw
+from support.command_runner import CliRunner
 from support.drone_image_files import FULL, packet, write_image
 from support.klv_packets import local_set, usual
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import TableError, UnstatedDatum, read_acquisitions, read_observations

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import typer
 from support.command_files import DEM, FILES, prepare
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._common import report_errors

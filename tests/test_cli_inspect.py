@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from support.autopilot_logs import AT, dataflash, ulog
+from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file

@@ -11,9 +11,9 @@ import pyogrio
 import pyproj
 import pytest
 from support.command_files import prepare
+from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
 from support.miaoli import FRAMES, UNDULATION, Village
-from typer.testing import CliRunner
 
 import jaxgeo
 from jaxgeo.cli import app

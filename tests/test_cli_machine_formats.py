@@ -11,9 +11,9 @@ import threading
 from collections.abc import Callable
 
 import pytest
+from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
 from test_cli_folders import DJI, GROUND
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from support.command_files import prepare
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._old_options import with_new_names

@@ -7,7 +7,7 @@ import re
 import shlex
 
 import pytest
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import typer
 from support import command_files
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo._refusals import is_refusal
 from jaxgeo.cli import app

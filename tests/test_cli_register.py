@@ -17,8 +17,8 @@ import rasterio
 import typer
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
+from support.command_runner import CliRunner
 from support.fractal import fractal_posts
-from typer.testing import CliRunner
 
 from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, locate, project
 from jaxgeo.cli import app

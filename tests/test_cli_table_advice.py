@@ -7,7 +7,7 @@ import shlex
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io.scene import read_scene

@@ -33,8 +33,8 @@ from support.attacks_places import (
     wcs,
     wms,
 )
+from support.command_runner import CliRunner
 from support.rasters import write
-from typer.testing import CliRunner
 
 from jaxgeo import io
 from jaxgeo.cli import app

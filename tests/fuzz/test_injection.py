@@ -11,7 +11,7 @@ import unicodedata
 
 import pytest
 from defusedxml.ElementTree import fromstring
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.command_runner import CliRunner
 from support.klv_packets import TIME_US, local_set, usual
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import TableError, read_acquisition, read_acquisitions

@@ -16,7 +16,7 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 from scipy.special import ndtri
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 import jaxgeo
 from jaxgeo import Geodetic

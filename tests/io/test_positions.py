@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
+from support.command_runner import CliRunner
 from support.drone_image_files import CAMERA, packet, write_image
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import TableError, UnstatedDatum, read_acquisition, read_acquisitions, undulation, with_positions

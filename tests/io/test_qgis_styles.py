@@ -16,7 +16,7 @@ import pyogrio
 import pyproj
 import pytest
 import shapely
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import write_fixes

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
-from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import TableError, UnstatedDatum, read_acquisition, with_positions

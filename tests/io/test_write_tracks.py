@@ -13,7 +13,7 @@ import pyproj
 import pytest
 import shapely
 from pyogrio import raw
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo import Fix, Status
 from jaxgeo.cli import app

@@ -6,7 +6,7 @@ import pathlib
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.io import example_dem

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import pytest
 from scipy import stats
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.studies import li2023

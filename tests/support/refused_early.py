@@ -21,7 +21,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax, monitoring
-from typer.testing import CliRunner
 
 import jaxgeo
 from jaxgeo.cli import app
@@ -31,6 +30,7 @@ from jaxgeo.io.scene import read_scene
 from jaxgeo.io.tables import read_shots
 from jaxgeo.uncertainty.sources import Position
 from support import command_files
+from support.command_runner import CliRunner
 
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # event of every program, before it is compiled
 SINGLE = {*dir(jnp), *dir(lax), *dir(jax.random), "stage", "threefry_seed"}
