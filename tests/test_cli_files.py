@@ -14,8 +14,8 @@ import shapely
 from pyarrow import parquet
 from pyogrio import raw
 from support.command_files import DJI, LAT, LON, SMALL_POSE, prepare
+from support.command_runner import CliRunner
 from support.drone_image_files import FULL, packet, write_image
-from typer.testing import CliRunner
 
 import jaxgeo
 from jaxgeo import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -65,6 +65,16 @@ def here(tmp_path: pathlib.Path, monkeypatch) -> pathlib.Path:
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def text_of_scene(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """That of DJI_0042.JPG."""
+    folder = tmp_path_factory.mktemp("scene")
+    prepare(folder, "DJI_0042.JPG")
+    result = run("scene", folder / "DJI_0042.JPG", *ELLIPSOID, "-o", folder / "scene.toml")
+    assert result.exit_code == 0, result.output
+    return (folder / "scene.toml").read_text()
+
+
 def scene_of(name: str, *more: str) -> pathlib.Path:
     result = run("scene", name, *ELLIPSOID, *more, "-o", "scene.toml")
     assert result.exit_code == 0, result.output
@@ -72,15 +82,24 @@ def scene_of(name: str, *more: str) -> pathlib.Path:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name, more", [("DJI_0042.JPG", ()), ("flight.klv", ("--exposure", "1"))])
-def test_a_scene_of_a_file_is_located_as_the_file(here: pathlib.Path, name: str, more: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "name, more, accuracy",
+    [
+        ("DJI_0042.JPG", (), "--accuracy"),
+        ("flight.klv", ("--exposure", "1"), "--no-accuracy"),
+        pytest.param("flight.klv", ("--exposure", "1"), "--accuracy", marks=pytest.mark.slow),
+    ],
+)
+def test_a_scene_of_a_file_is_located_as_the_file(
+    here: pathlib.Path, name: str, more: tuple[str, ...], accuracy: str
+) -> None:
     scene = scene_of(name, *more)
-    flat = ("--ground", "300", "--pixel", "100,200", "--accuracy")
+    flat = ("--ground", "300", "--pixel", "100,200", accuracy)
     by_file = done("locate", name, *ELLIPSOID, *more, *flat)["fixes"][0]
     by_scene = done("locate", scene, *flat)["fixes"][0]
     for key in ("fix_lat_deg", "fix_lon_deg", "fix_height_m", "slant_range_m"):
         assert by_scene[key] == pytest.approx(by_file[key], abs=1e-9, rel=1e-9), key
-    for key in ("ce90_m", "le90_m"):
+    for key in ("ce90_m", "le90_m") if accuracy == "--accuracy" else ():
         assert by_scene[key] == pytest.approx(by_file[key], rel=1e-4), key
 
 
@@ -176,10 +195,9 @@ MISTAKES = [
 
 @pytest.mark.costly
 @pytest.mark.parametrize("arguments, words", MISTAKES)
-def test_mistakes(here: pathlib.Path, arguments: list[str], words: list[str]) -> None:
-    scene_of("DJI_0042.JPG")
-    text = pathlib.Path("scene.toml").read_text()
-    pathlib.Path("bare.toml").write_text(text.split("[errors]")[0])
+def test_mistakes(here: pathlib.Path, text_of_scene: str, arguments: list[str], words: list[str]) -> None:
+    pathlib.Path("scene.toml").write_text(text_of_scene)
+    pathlib.Path("bare.toml").write_text(text_of_scene.split("[errors]")[0])
     before = {path.name for path in here.iterdir()}
     assert_refused(run(*arguments), *words)
     assert {path.name for path in here.iterdir()} == before
@@ -291,8 +309,8 @@ def test_outlines_of_detections_are_in_every_format(here: pathlib.Path, ending: 
         (["DJI_0042.JPG", "--detections", "f.csv", "--cluster", "local:1"], ["f.csv and --cluster do not go together"]),
     ],
 )
-def test_mistakes_of_detections(here: pathlib.Path, arguments: list[str], words: list[str]) -> None:
+def test_mistakes_of_detections(here: pathlib.Path, text_of_scene: str, arguments: list[str], words: list[str]) -> None:
     pathlib.Path("f.csv").write_text("image,u,v\nx.jpg,1,2\n")
-    scene_of("DJI_0042.JPG")
+    pathlib.Path("scene.toml").write_text(text_of_scene)
     of_file = [] if "--scene" in arguments else ELLIPSOID
     assert_refused(run("locate", *arguments, *of_file, "--ground", "300"), *words)
