@@ -8,20 +8,20 @@ import re
 import shutil
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from support.command_runner import CliRunner
 from support.image_folder import ImageFolder, write_folder
-from typer.testing import CliRunner
 
 from jaxgeo import FrameCamera, Gimbal, Mount, Sensor, Shot
 from jaxgeo.adjust import LocalFrame
 from jaxgeo.cli import app
-from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.io import Orientations, read_dem, read_observations, read_opensfm, read_orientations, rectify_file
+from jaxgeo.sensor import NoDistortion
 
 pytestmark = pytest.mark.costly
 
@@ -87,115 +87,6 @@ def test_written_orientations_are_near_the_truth(here: ImageFolder, done) -> Non
     assert np.std(away[:, 2]) < 0.5 * np.std(tags[:, 2])
 
 
-HEADER = "image,point,u,v,lat_deg,lon_deg,height_m,role"
-
-
-def control_rows(here: ImageFolder) -> list[list[str]]:
-    """Surveyed points on a lattice in the images that show them, with errors of 0.3 px and 2 cm."""
-    rng = np.random.default_rng(4)
-    lat, lon = 47.0 + np.linspace(-1.0, 0.6, 6) * 8e-4, 11.0 + np.array([0.3, -0.5, 0.6]) * 8e-4
-    rows = []
-    for number, (north, east) in enumerate((x, y) for x in lat for y in lon):
-        height = 515.0 + rng.uniform(-10.0, 10.0)
-        survey = [north + 2e-7 * rng.normal(), east + 2.6e-7 * rng.normal(), height + 0.02 * rng.normal()]
-        for name, exposure in zip(here.names[:4], here.true[:4], strict=True):
-            assert isinstance(exposure.motion, Shot)
-            assert isinstance(exposure.sensor.camera, FrameCamera)
-            sight = exposure.sensor.sight(exposure.motion)
-            place = WGS84.to_ecef(Geodetic.from_degrees(lat=north, lon=east, height=height))
-            away = np.asarray(sight.R_ecef_from_camera).T @ (np.asarray(place) - np.asarray(sight.centre))
-            u, v, _ = exposure.sensor.camera.project_many(
-                jnp.asarray(away[0]), jnp.asarray(away[1]), jnp.asarray(away[2])
-            )
-            if 3.0 < u < 252.0 and 3.0 < v < 188.0 and away[2] > 0.0:
-                pixel = [f"{float(x) + 0.3 * rng.normal():.3f}" for x in (u, v)]
-                rows.append([name, f"point {number}", *pixel, *(f"{x:.10f}" for x in survey), "control"])
-    return rows
-
-
-def write_points(path: pathlib.Path, rows: list[list[str]]) -> pathlib.Path:
-    path.write_text("\n".join([HEADER, *(",".join(row) for row in rows), ""]))
-    return path
-
-
-GCP = ("--gcp-datum", "ellipsoid", "--gcp-sigma", "0.02", "--pixel-sigma", "0.3")
-
-
-def test_control_holds_the_block_and_check_points_show_it(tmp_path, here, done) -> None:
-    """Poses are nearer to the truth than by ties alone, and check points, of the file and of an option, off by no more
-    than is predicted."""
-    out = tmp_path / "out"
-    shutil.copytree(done[0], out)
-    rows = control_rows(here)
-    names = list(dict.fromkeys(row[1] for row in rows))
-    assert len(names) > 8
-    rows = [[*row[:-1], "check" if row[1] in names[::4] else "control"] for row in rows]
-    table = write_points(tmp_path / "points.csv", rows)
-    result = run(*here.arguments, *OPTIONS, "-o", out, "--gcp", table, *GCP, "--check", names[1], "--json", "--report")
-    assert result.exit_code == 0, result.output
-    points = json.loads(result.stdout)["control"]["points"]
-    checks = [one for one in points if one["role"] == "check"]
-    assert {one["point"] for one in checks} == {*names[::4], names[1]}
-    assert not any(one["role"] == "left out" for one in points)
-    several = [one for one in checks if one["images"] > 1]
-    off = [one[f"{axis}_m"] / one[f"sigma_{axis}_m"] for one in several for axis in ("east", "north", "up")]
-    assert np.max(np.abs(off)) < 4.5
-    assert np.sqrt(np.mean(np.square(off))) < 1.6
-    before, after = (
-        np.abs(away_of(here, read_orientations(folder / "orientations.csv", height_datum="ellipsoid"))[:, :3])
-        for folder in (done[0], out)
-    )
-    assert np.mean(after) < 0.5 * np.mean(before)
-    lines = (out / "control.csv").read_text().splitlines()
-    assert len(lines) - 1 == len(names)
-    page = (out / "report.html").read_text()
-    assert page.count('class="footprint"') == 4
-    assert names[1] in page
-
-
-@pytest.mark.parametrize(
-    "change, options, words",
-    [
-        ("", ("--gcp-datum", ""), "state the vertical datum of its heights with --gcp-datum"),
-        ("", ("--gcp-sigma", "0"), "--gcp-sigma 0: must be above 0"),
-        ("", ("--pixel-origin", "middle"), "expected centre or corner"),
-        ("", ("--gcp-datum", "EPSG:0"), "points.csv: --gcp-datum 'EPSG:0' is unknown"),
-        ("tie", (), "point tie 3 has the name of a tie point"),
-        ("", ("--check", "point 99"), "--check point 99 is not among the points"),
-        ("empty", (), "the file of check points is empty"),
-        ("image", (), "image other.jpg of point point 0 is not among the images"),
-        ("pixel", (), "pixel 300, 20 lies outside of image"),
-        ("datum", (), "points lie far from the rays of their pixels: moved by"),
-        ("name", (), "lies far from the rays of its pixels"),
-    ],
-)
-def test_control_that_does_not_belong_to_the_images_is_refused(tmp_path, here, change, options, words) -> None:
-    """Before any image is matched."""
-    rows = control_rows(here)
-    if change == "image":
-        rows[0][0] = "other.jpg"
-    if change == "tie":
-        rows = [[row[0], "tie 3", *row[2:]] if row[1] == rows[0][1] else row for row in rows]
-    if change == "pixel":
-        rows[0][2:4] = ["300", "20"]
-    if change == "datum":
-        rows = [[*row[:6], f"{float(row[6]) + 700.0}", row[7]] for row in rows]
-    if change == "name":
-        names = list(dict.fromkeys(row[1] for row in rows))
-        other = {names[0]: names[-1], names[-1]: names[0]}
-        rows = [[row[0], other.get(row[1], row[1]), *row[2:]] for row in rows]
-        places = {row[1]: row[4:7] for row in control_rows(here)}
-        rows = [[*row[:4], *places[row[1]], row[7]] for row in rows]
-    table = write_points(tmp_path / "points.csv", rows)
-    if change == "empty":
-        table.write_text("")
-    given = dict(zip(GCP[::2], GCP[1::2], strict=True)) | dict([options] if options else [])
-    typed = [word for option, value in given.items() if value for word in (option, value)]
-    result = run(*here.arguments, *OPTIONS, "-o", tmp_path / "out", "--gcp", table, *typed)
-    assert_refused(result, words)
-    assert not (tmp_path / "out" / "matches").exists()
-
-
 @pytest.mark.slow
 def test_a_mosaic_shows_what_the_images_show(tmp_path, here, done) -> None:
     """Grey values of its cells against the image rectified with its true pose: the adjusted images lie where they
@@ -224,6 +115,91 @@ def test_a_mosaic_shows_what_the_images_show(tmp_path, here, done) -> None:
     both &= known
     assert both.mean() > 0.4
     assert np.corrcoef(seen[both], expected[both])[0, 1] > 0.5
+
+
+HEADER = "image,point,u,v,lat_deg,lon_deg,height_m,role"
+
+
+@pytest.fixture(scope="module")
+def surveyed(here: ImageFolder) -> list[list[str]]:
+    """Rows of surveyed points on a lattice in the images that show them, with errors of 0.3 px and 2 cm."""
+    rng = np.random.default_rng(4)
+    lat, lon = 47.0 + np.linspace(-1.0, 0.6, 6) * 8e-4, 11.0 + np.array([0.3, -0.5, 0.6]) * 8e-4
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978").transform
+    cameras = []
+    for exposure in here.true[:4]:
+        assert isinstance(exposure.motion, Shot)
+        camera, sight = exposure.sensor.camera, exposure.sensor.sight(exposure.motion)
+        assert isinstance(camera, FrameCamera)
+        assert isinstance(camera.distortion, NoDistortion)
+        cameras.append(
+            [np.asarray(x) for x in (sight.centre, sight.R_ecef_from_camera, camera.focal_px, camera.principal_px)]
+        )
+    rows = []
+    for number, (north, east) in enumerate((x, y) for x in lat for y in lon):
+        height = 515.0 + rng.uniform(-10.0, 10.0)
+        survey = [north + 2e-7 * rng.normal(), east + 2.6e-7 * rng.normal(), height + 0.02 * rng.normal()]
+        place = np.array(to_ecef(north, east, height))
+        for name, (centre, R_ecef_from_camera, focal, principal) in zip(here.names, cameras, strict=False):
+            away = R_ecef_from_camera.T @ (place - centre)
+            u, v = principal + focal * away[:2] / away[2]
+            if 3.0 < u < 252.0 and 3.0 < v < 188.0 and away[2] > 0.0:
+                pixel = [f"{x + 0.3 * rng.normal():.3f}" for x in (u, v)]
+                rows.append([name, f"point {number}", *pixel, *(f"{x:.10f}" for x in survey), "control"])
+    return rows
+
+
+def write_points(path: pathlib.Path, rows: list[list[str]]) -> pathlib.Path:
+    path.write_text("\n".join([HEADER, *(",".join(row) for row in rows), ""]))
+    return path
+
+
+GCP = ("--gcp-datum", "ellipsoid", "--gcp-sigma", "0.02", "--pixel-sigma", "0.3")
+
+
+@pytest.mark.parametrize(
+    "change, options, words",
+    [
+        ("", ("--gcp-datum", ""), "state the vertical datum of its heights with --gcp-datum"),
+        ("", ("--gcp-sigma", "0"), "--gcp-sigma 0: must be above 0"),
+        ("", ("--pixel-origin", "middle"), "expected centre or corner"),
+        ("", ("--gcp-datum", "EPSG:0"), "points.csv: --gcp-datum 'EPSG:0' is unknown"),
+        ("tie", (), "point tie 3 has the name of a tie point"),
+        ("", ("--check", "point 99"), "--check point 99 is not among the points"),
+        ("empty", (), "the file of check points is empty"),
+        ("image", (), "image other.jpg of point point 0 is not among the images"),
+        ("pixel", (), "pixel 300, 20 lies outside of image"),
+        ("datum", (), "points lie far from the rays of their pixels: moved by"),
+        ("name", (), "lies far from the rays of its pixels"),
+    ],
+)
+def test_control_that_does_not_belong_to_the_images_is_refused(
+    tmp_path, here, surveyed, change, options, words
+) -> None:
+    """Before any image is matched."""
+    rows = [list(row) for row in surveyed]
+    if change == "image":
+        rows[0][0] = "other.jpg"
+    if change == "tie":
+        rows = [[row[0], "tie 3", *row[2:]] if row[1] == rows[0][1] else row for row in rows]
+    if change == "pixel":
+        rows[0][2:4] = ["300", "20"]
+    if change == "datum":
+        rows = [[*row[:6], f"{float(row[6]) + 700.0}", row[7]] for row in rows]
+    if change == "name":
+        names = list(dict.fromkeys(row[1] for row in rows))
+        other = {names[0]: names[-1], names[-1]: names[0]}
+        rows = [[row[0], other.get(row[1], row[1]), *row[2:]] for row in rows]
+        places = {row[1]: row[4:7] for row in surveyed}
+        rows = [[*row[:4], *places[row[1]], row[7]] for row in rows]
+    table = write_points(tmp_path / "points.csv", rows)
+    if change == "empty":
+        table.write_text("")
+    given = dict(zip(GCP[::2], GCP[1::2], strict=True)) | dict([options] if options else [])
+    typed = [word for option, value in given.items() if value for word in (option, value)]
+    result = run(*here.arguments, *OPTIONS, "-o", tmp_path / "out", "--gcp", table, *typed)
+    assert_refused(result, words)
+    assert not (tmp_path / "out" / "matches").exists()
 
 
 def test_options_of_control_need_it(tmp_path, here) -> None:
@@ -418,14 +394,17 @@ def test_a_second_run_reads_the_matches_of_the_first(here, done) -> None:
 
 def test_a_copy_of_an_image_changes_nothing(tmp_path, here, done) -> None:
     """It is named, and neither stops the others nor counts the navigation twice."""
-    folder = tmp_path / "with a copy é"
-    shutil.copytree(here.images, folder)
-    shutil.copy(folder / here.names[1], folder / f"zz {here.names[1]}")
-    out = tmp_path / "out"
-    result = run(folder, *here.arguments[1:], *OPTIONS, "-o", out, "--json")
+    out, copy = tmp_path / "out é", here.images / f"zz {here.names[1]}"
+    shutil.copytree(done[0] / "matches", out / "matches")  # of the others: those of the copy would have to be made
+    shutil.copy(here.images / here.names[1], copy)
+    try:
+        result = run(*here.arguments, *OPTIONS, "-o", out, "--json")
+    finally:
+        copy.unlink()
     assert result.exit_code == 0, result.output
     assert f"zz {here.names[1]} is a copy of" in " ".join(result.stderr.split())
     content = json.loads(result.stdout)
+    assert f"{len(done[1]['pairs'])} of {len(done[1]['pairs'])} pairs were read from" in result.stderr
     assert content["images"] == len(here.names)
     assert content["assumed"]
     assert (out / "orientations.csv").read_bytes() == (done[0] / "orientations.csv").read_bytes()
@@ -458,3 +437,37 @@ def test_the_camera_is_unknown_by_the_sigma_assumed_for_it(done) -> None:
     (sigma,) = [one["sigma"] for one in content["parameters"] if one["name"] == "focal"]
     assert 0.0 < sigma < 1.001 * float(assumed)
     assert not any("held as given" in one for one in content["words"])
+
+
+# Last: another block, whose programs are many.
+
+
+def test_control_holds_the_block_and_check_points_show_it(tmp_path, here, surveyed, done) -> None:
+    """Poses are nearer to the truth than by ties alone, and check points, of the file and of an option, off by no more
+    than is predicted."""
+    out = tmp_path / "out"
+    shutil.copytree(done[0], out)
+    names = list(dict.fromkeys(row[1] for row in surveyed))
+    assert len(names) > 8
+    rows = [[*row[:-1], "check" if row[1] in names[::4] else "control"] for row in surveyed]
+    table = write_points(tmp_path / "points.csv", rows)
+    result = run(*here.arguments, *OPTIONS, "-o", out, "--gcp", table, *GCP, "--check", names[1], "--json", "--report")
+    assert result.exit_code == 0, result.output
+    points = json.loads(result.stdout)["control"]["points"]
+    checks = [one for one in points if one["role"] == "check"]
+    assert {one["point"] for one in checks} == {*names[::4], names[1]}
+    assert not any(one["role"] == "left out" for one in points)
+    several = [one for one in checks if one["images"] > 1]
+    off = [one[f"{axis}_m"] / one[f"sigma_{axis}_m"] for one in several for axis in ("east", "north", "up")]
+    assert np.max(np.abs(off)) < 4.5
+    assert np.sqrt(np.mean(np.square(off))) < 1.6
+    before, after = (
+        np.abs(away_of(here, read_orientations(folder / "orientations.csv", height_datum="ellipsoid"))[:, :3])
+        for folder in (done[0], out)
+    )
+    assert np.mean(after) < 0.5 * np.mean(before)
+    lines = (out / "control.csv").read_text().splitlines()
+    assert len(lines) - 1 == len(names)
+    page = (out / "report.html").read_text()
+    assert page.count('class="footprint"') == 4
+    assert names[1] in page
