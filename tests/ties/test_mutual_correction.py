@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from scipy.spatial.transform import Rotation
 from support.drone_strip import ERRORS, SENSOR, Strip, ground, strip, views_of
+from support.misleading_scenes import periodic, rows_of_trees, shadows, shown, squared_errors, water
 
 from jaxgeo import Exposure
 from jaxgeo.adjust import ImagePoints
@@ -165,3 +168,34 @@ def test_points_seen_from_one_position_are_left_out(here: Strip, ties: Ties) -> 
     assert np.allclose(found.moved, alone.moved, atol=1e-6)
     with pytest.raises(ValueError, match="parallel"):
         correct(views, twin.of(np.char.startswith(twin.point.astype(str), "alone")))
+
+
+# Scenes that mislead matching: a periodic texture, water, and moving shadows. No wrong pose is accepted.
+
+CERTAIN = 0.999
+
+
+@functools.cache
+def outcome(scene) -> tuple[Strip, Correction | None]:
+    """The strip with images of a scene, and its correction: None if no tie points were found."""
+    here = shown(strip(), scene)
+    ties = find_ties(here.views, ground(1.0), here.pictures, Matching(sigma_height=2.0), points=48)
+    return here, None if ties.observations is None else correct(here.views, ties)
+
+
+@pytest.mark.parametrize("scene", [periodic, pytest.param(rows_of_trees, marks=pytest.mark.slow)])
+def test_repeated_texture_is_not_tied(scene) -> None:
+    assert outcome(scene)[1] is None
+
+
+@pytest.mark.parametrize("scene", [pytest.param(water, marks=pytest.mark.slow), shadows])
+def test_no_wrong_pose_is_accepted(scene) -> None:
+    """Adjusted images err within the chi-square bounds of their covariances, each and together; the others are
+    named."""
+    here, found = outcome(scene)
+    assert found is not None
+    each, together = squared_errors(here, found)
+    assert max(each) < scipy.stats.chi2.ppf(CERTAIN, 6)
+    assert together < scipy.stats.chi2.ppf(CERTAIN, 6 * len(each))
+    assert found.names == here.names[:4]
+    assert found.unconnected == ["image 4"]
