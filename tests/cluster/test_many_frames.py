@@ -12,7 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
+import pyproj
 import pytest
 from support.survey import ridge_at, survey, write_tiles
 
@@ -23,7 +25,7 @@ from jaxgeo.cluster import PartsFailed, connect, locate_frames, statuses_of
 from jaxgeo.cluster.parts import MANIFEST
 from jaxgeo.io import ImageError, Observations, open_dem, read_dem
 from jaxgeo.io.acquisitions.several import Unread
-from jaxgeo.io.located_over_files import AccuracyOptions, locate_over_files
+from jaxgeo.io.located_over_files import AccuracyOptions, locate_over_files, rays_of
 from jaxgeo.status import Status
 
 parquet: Any = pytest.importorskip("pyarrow.parquet")
@@ -66,25 +68,45 @@ def table(folder: pathlib.Path, names: Sequence[str]) -> dict[str, list[Any]]:
     return {name: found[name].to_pylist() for name in found.column_names}
 
 
+@jax.jit
+def heights_of(dem: jaxgeo.Dem, places: jaxgeo.Geodetic) -> jax.Array:
+    return jax.vmap(dem.height_at)(places)
+
+
+def above_ground(tiles: list[pathlib.Path], points: np.ndarray) -> np.ndarray:
+    """Heights in m of points (..., 3) in ECEF above the whole mosaic, read at once; NaN beside it."""
+    dem = read_dem(tiles, vertical_datum="ellipsoid")
+    x, y, z = points.reshape(-1, 3).T
+    lon, lat, height = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(x, y, z)
+    ground = heights_of(dem, jaxgeo.Geodetic(lat=np.radians(lat), lon=np.radians(lon), height=height))
+    return (height - np.asarray(ground)).reshape(points.shape[:-1])
+
+
 @pytest.mark.costly
-def test_parts_hold_the_fixes_that_are_computed_at_once(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
-    files = open_dem(tiles, vertical_datum="ellipsoid")
-    run = locate_frames(tmp_path / "fixes", frames, files, rows=25)
+def test_parts_hold_the_first_hits_of_the_whole_mosaic(tmp_path: pathlib.Path, frames: Observations, tiles) -> None:
+    """Points lie on the line of sight and on the ground, with no ground before them; where there is none, the line of
+    sight comes down beside the mosaic."""
+    run = locate_frames(tmp_path / "fixes", frames, open_dem(tiles, vertical_datum="ellipsoid"), rows=25)
     found = table(run.folder, run.parts)
-    fixes = jaxgeo.io.locate_observations(frames, read_dem(tiles, vertical_datum="ellipsoid"))
     assert found["index"] == list(range(60))
     assert found["name"] == [f"frame {k}" for k in range(60)]
     assert len(run.parts) == 3
     assert run.computed == 3
-    statuses = [Status(int(code)).name for code in fixes.status]
-    assert found["status"] == statuses
     assert run.counts == statuses_of(run)
-    assert {"hit", "leaves_terrain"} <= set(statuses)
-    hits = np.array([one == "hit" for one in statuses])
-    lat = np.array(found["fix_lat_deg"], float)[hits]
-    np.testing.assert_allclose(lat, np.degrees(np.asarray(fixes.position.lat))[hits], rtol=0.0, atol=1e-10)
-    heights = np.array(found["fix_height_m"], float)[hits]
-    np.testing.assert_allclose(heights, np.asarray(fixes.position.height)[hits], rtol=0.0, atol=1e-4)
+    assert {"hit", "leaves_terrain"} <= set(found["status"]) <= {"hit", "leaves_terrain", "ray_misses_terrain"}
+    hits = np.array([one == "hit" for one in found["status"]])
+    lat, lon, height = (np.array(found[f"fix_{name}"], float)[hits] for name in ("lat_deg", "lon_deg", "height_m"))
+    places = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978").transform(lat, lon, height)
+    ray, _ = rays_of(frames.batches[0])
+    reach = np.full(60, 9000.0)  # m
+    away = np.stack(places, axis=1) - ray.origin[hits]
+    reach[hits] = np.linalg.norm(away, axis=1)
+    np.testing.assert_allclose(away, reach[hits, None] * ray.direction[hits], rtol=0.0, atol=1e-4)  # m
+    steps = np.linspace(0.0, 1.0, 250)[:, None, None]
+    above = above_ground(tiles, ray.origin + steps * reach[:, None] * ray.direction)
+    np.testing.assert_allclose(above[-1, hits], 0.0, rtol=0.0, atol=1e-4)  # m
+    assert not np.any(above[:-1] <= 0.0)
+    assert np.all(np.isnan(above[-1, ~hits]))
 
 
 @pytest.mark.costly
