@@ -15,7 +15,7 @@ from jaxgeo import WGS84, ConstantHeight, Geodetic, Ray, Status
 pytestmark = pytest.mark.costly
 
 TERRAINS = {
-    "level": ConstantHeight(600.0),
+    "level": ConstantHeight(jnp.asarray(600.0)),
     "posts": small_dem(600.0 + 50.0 * np.random.default_rng(0).uniform(size=(SIZE, SIZE))),
 }
 COUNT = 300
@@ -28,19 +28,23 @@ def hits(rays: Ray, terrain: Any) -> Any:
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
-def begins(terrain: Any, above: float) -> tuple[np.ndarray, np.ndarray]:
+@jax.jit
+def places(terrain: Any, lat: Any, lon: Any, above: Any) -> tuple[Any, Any]:
     """(places so far above the ground, the normals of the ellipsoid there)."""
-    rng = np.random.default_rng(1)
-    lat, lon = 47.0 + rng.uniform(-0.002, 0.002, COUNT), 11.0 + rng.uniform(-0.003, 0.003, COUNT)
 
-    @jax.jit
-    @jax.vmap
     def place(lat: Any, lon: Any) -> tuple[Any, Any]:
         height = terrain.height_at(Geodetic(lat=lat, lon=lon, height=jnp.zeros(())))
         p_ecef = WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=height + above))
         return p_ecef, WGS84.normal_and_height(p_ecef)[0]
 
-    found = place(jnp.deg2rad(lat), jnp.deg2rad(lon))
+    return jax.vmap(place)(lat, lon)
+
+
+def begins(terrain: Any, above: float) -> tuple[np.ndarray, np.ndarray]:
+    """Some places so far above the ground, and the normals of the ellipsoid there."""
+    rng = np.random.default_rng(1)
+    lat, lon = 47.0 + rng.uniform(-0.002, 0.002, COUNT), 11.0 + rng.uniform(-0.003, 0.003, COUNT)
+    found = places(terrain, np.deg2rad(lat), np.deg2rad(lon), above)
     return np.asarray(found[0]), np.asarray(found[1])
 
 
