@@ -30,9 +30,11 @@ WISHED = 0.15
 STATIONS = 5
 
 
-def flight(duration: float = 12.0, *, speed: float = SPEED, swing: float = 0.05) -> Trajectory:
-    """Straight on, with swings of speed and height; knots every half second."""
-    times = np.linspace(0.0, duration, int(2 * duration) + 1)
+def flight(
+    duration: float = 12.0, *, speed: float = SPEED, swing: float = 0.05, knots: int | None = None
+) -> Trajectory:
+    """Straight on, with swings of speed and height; knots every half second, or so many."""
+    times = np.linspace(0.0, duration, int(2 * duration) + 1 if knots is None else knots)
     speeds = speed * (1.0 + swing * np.sin(2.0 * np.pi * times / 23.0))
     way = np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times))])
     pose = Pose.from_degrees(
@@ -237,7 +239,7 @@ EARLY = [
     (VelocityHeight(WISHED), {"trajectory": LOOKS_UP}, "sees no ground at 0 s"),
     (
         GroundShared(0.15, stations=STATIONS),
-        {"trajectory": flight(0.5)},
+        {"trajectory": flight(0.5, knots=25)},
         "later than 0.5 s, the time of the last whole image",
     ),
     (GroundShared(0.0, stations=STATIONS), {"trajectory": flight(speed=1.0)}, "the navigation is too short"),
