@@ -237,7 +237,7 @@ LOOSE = {"rtol": jnp.asarray(1e3), "atol": jnp.asarray(1e3)}  # content after on
 @pytest.mark.parametrize(
     "call, solver",
     [
-        (lambda *given, solver: alone(*given, 0, solver=solver), optx.LevenbergMarquardt(**LOOSE)),
+        (lambda *given, solver: alone(*given, 0, solver=solver), optx.Newton(**LOOSE)),
         pytest.param(batch, optx.Newton(**LOOSE, linear_solver=lx.SVD(rcond=1e-7)), marks=pytest.mark.slow),
     ],
     ids=["alone", "batch"],
