@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import shapely
 from bokeh.plotting import figure
+from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
-from typer.testing import CliRunner
 
 from jaxgeo import ConstantHeight, Pose, Sensor, Shot
 from jaxgeo.cli import app

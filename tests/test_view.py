@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.command_files import FILES, SMALL_POSE, SMALL_SCENE
-from typer.testing import CliRunner
+from support.command_runner import CliRunner
 
 import jaxgeo
 from jaxgeo.cli import app

@@ -172,11 +172,10 @@ GRIDS = {
 }
 
 
-# One map compiles for every run, of those that are quicker to compile; cells in a tangent plane are those of most tests
-# below.
+# One map compiles for every run; cells in a tangent plane are also those of most tests below.
 @pytest.mark.costly
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "geographic" else pytest.mark.slow) for name in GRIDS]
+    "name", [pytest.param(name, marks=() if name == "transverse Mercator" else pytest.mark.slow) for name in GRIDS]
 )
 def test_cells_hold_what_project_sees_through_a_lens(name: str) -> None:
     make, kind = GRIDS[name]

@@ -172,7 +172,7 @@ def test_samples_on_other_ground_are_those_of_the_comparison() -> None:
 @pytest.mark.slow
 def test_everything_prints_the_same_number_for_the_fix_of_the_demonstration(tmp_path: pathlib.Path) -> None:
     """The demonstration, its budget, one and many fixes, `jaxgeo locate` and the report."""
-    from typer.testing import CliRunner
+    from support.command_runner import CliRunner
 
     from jaxgeo.cli import app
     from jaxgeo.plot import budget_bars, error_cloud
