@@ -312,6 +312,12 @@ def test_mistakes(tmp_path, monkeypatch, flight, shots_file, arguments: list[str
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.csv", "shots.csv"]
 
 
+def test_records_with_a_gap(tmp_path: pathlib.Path, flight) -> None:
+    result = plan(flight(first_times=("0",)), tmp_path / "plan.csv", "--overlap", "0.9")
+    assert_refused(result, "a gap of 100.5 s before row", "the longest allowed is 5 s", "each as a file")
+    assert "longest_gap" not in result.output
+
+
 def test_records_that_run_backwards(tmp_path: pathlib.Path, flight) -> None:
     path = flight(first_times=("100.0", "100.5", "100.2"))
     result = plan(path, tmp_path / "plan.csv", "--overlap", "0.9")

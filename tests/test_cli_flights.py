@@ -69,6 +69,14 @@ def test_what_is_no_flight_is_refused(
     assert "\n" not in str(refusal.value)
 
 
+def test_a_gap_is_refused_with_what_can_be_done_on_the_command_line(tmp_path: pathlib.Path) -> None:
+    seconds = tuple(f"{at:06.3f}" for at in (1.0, 2.0, 3.0, 50.0))
+    observed = read_observations(log(tmp_path, seconds, (0, 0, 0, 0)), takeoff_height=600.0, camera=CAMERA)
+    with pytest.raises(UserError, match=r"a gap of 47 s .*the longest allowed is 10 s .*each as a file") as refusal:
+        flight_of(observed)
+    assert "longest_gap" not in str(refusal.value)
+
+
 @pytest.mark.costly
 def test_a_footprint_on_level_ground_is_the_image_enlarged(tmp_path: pathlib.Path) -> None:
     """Straight down the scale is the height above the ground over the focal length."""

@@ -14,6 +14,7 @@ from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._exposures import ExposureOptions
 from jaxgeo.cli._inputs import trajectory_of
+from jaxgeo.cli._option_names import gap_as_typed
 from jaxgeo.cli._screen import print_note
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Trajectory
@@ -97,5 +98,5 @@ def flight_of(observed: Observations) -> Flight:
     try:
         trajectory = Trajectory.from_knots(times - times[0], poses, np.unwrap(readings, axis=0))
     except ValueError as error:
-        raise UserError(f"{observed.source}: {re.sub('knot', 'exposure', str(error))}") from error
+        raise UserError(f"{observed.source}: {gap_as_typed(re.sub('knot', 'exposure', str(error)))}") from error
     return Flight(sensor, trajectory, observed.atmosphere, float(times[0]))

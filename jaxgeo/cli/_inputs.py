@@ -12,7 +12,7 @@ from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._archive_dem import Look, fetch, is_archive
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._option_names import translate_dem_errors
+from jaxgeo.cli._option_names import gap_as_typed, translate_dem_errors
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import working
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Shot, Trajectory
@@ -175,6 +175,7 @@ def trajectory_of(
     """
     from jaxgeo.io import read_navigation
     from jaxgeo.io._csv import gimbal_columns, read_csv
+    from jaxgeo.io.errors import TableError
     from jaxgeo.io.observation_reader import height_datum_of
 
     names = scene.sensor.gimbal.names
@@ -188,7 +189,10 @@ def trajectory_of(
             )
         held = scene.shot.gimbal_readings
     stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
-    return read_navigation(table, names, height_datum=stated, gimbal_readings=held)
+    try:
+        return read_navigation(table, names, height_datum=stated, gimbal_readings=held)
+    except TableError as error:
+        raise UserError(gap_as_typed(f"{error}")) from error
 
 
 def view_of_shots(sensor: Any, motions: Sequence[Any]) -> View:

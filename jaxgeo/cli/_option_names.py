@@ -49,6 +49,15 @@ def as_typed(text: str) -> str:
     return _OPTION.sub(replaced, text)
 
 
+def gap_as_typed(text: str) -> str:
+    """A message about a gap in a flight, which no option allows, with what can be done on the command line."""
+    text = re.sub(r"longest_gap is ([^ ]+ s)\.", r"the longest allowed is \1 (ten times the median).", text)
+    return text.replace(
+        "Make one trajectory of what is before and one of what is behind, or allow the gap.",
+        "Give what is before the gap and what is behind it one after the other, each as a file or folder of its own.",
+    )
+
+
 def reason_of(error: Exception) -> str:
     """Reason why a file cannot be read, with command-line options."""
     from jaxgeo.io.acquisitions.detect import WrongOption

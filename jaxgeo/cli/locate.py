@@ -27,7 +27,7 @@ from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixe
 from jaxgeo.cli._option_names import reason_not_read
 from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, print_message
+from jaxgeo.cli._screen import print_counts, print_message, print_note
 from jaxgeo.status import Status, counts_as_fix
 
 STYLED = (".gpkg", ".geojson", ".json")
@@ -188,6 +188,7 @@ def _locate_all(
             style=writing.style,
             **writing.drawn,
         )
+        print_note(f"written: {writing.output}")
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:
         if outlines is not None:
@@ -262,6 +263,8 @@ def _locate_rows(options: LocateOptions, accuracy: bool | None, probability: flo
             print_counts(counts, len(inputs.observed))
         _write_rows(rows, inputs, None if found is None else probability, chosen, stream)
         stream.flush()
+    if writing.output is not None:
+        print_note(f"written: {writing.output}")
     if chosen is not Format.table:  # after the rows, not between them
         print_counts(counts, len(inputs.observed))
     if fixes is not None:

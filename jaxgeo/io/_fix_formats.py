@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,12 +131,24 @@ def when(row: Mapping[str, Any]) -> str | None:
     return text if isinstance(text, str) and ISO.fullmatch(text) else None
 
 
+def _titles(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Names of fixes on a map: those of their images, with the pixel where one image has several."""
+    names = [f"{row.get('name') or f'fix {i}'}" for i, row in enumerate(rows)]
+    each = [tuple(f"{row[axis]:g}" for axis in "uv" if isinstance(row.get(axis), int | float)) for row in rows]
+    pixels: dict[str, set[tuple[str, ...]]] = {}
+    for name, pixel in zip(names, each, strict=True):
+        pixels.setdefault(name, set()).add(pixel)
+    return [
+        f"{name}, pixel {', '.join(pixel)}" if len(pixels[name]) > 1 and pixel else name
+        for name, pixel in zip(names, each, strict=True)
+    ]
+
+
 def _kml(table: FixTable) -> bytes:
     points, areas = [], []
-    for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True)):
+    for i, (title, row, place) in enumerate(zip(_titles(table.rows), table.rows, table.places, strict=True)):
         known = bool(np.isfinite(place).all())
         style = "lost" if not known else "fix" if row["status"] == Status.hit.name else "uncertain"
-        title = f"{row.get('name') or f'fix {i}'}"
         at = tuple(place.tolist()) if known else None
         points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at, when(row)))
         if table.outlines[i] is not None:
@@ -170,8 +182,8 @@ def _kmz(table: FixTable) -> bytes:
 def _gpx(table: FixTable) -> bytes:
     """One track of the fixes with coordinates, in their order, with times where they are in UTC."""
     points = [
-        TrackPoint(f"{row.get('name') or f'fix {i}'}", *place.tolist(), time=when(row))
-        for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True))
+        TrackPoint(title, *place.tolist(), time=when(row))
+        for title, row, place in zip(_titles(table.rows), table.rows, table.places, strict=True)
         if np.isfinite(place).all()
     ]
     about = "Fixes on the ground on WGS 84, heights above mean sea level (EGM96)."

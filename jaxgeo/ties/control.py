@@ -17,6 +17,7 @@ from jaxgeo.ties.views import Views
 
 FAR = 10.0  # standard deviations between ray and point by the navigation: if more, these are of different places
 INTERIOR = 0.005  # rad: standard deviation of a ray by errors of the camera
+HOPELESS = 30.0  # standard deviations of pixels, added to them: control that fits worse is of another datum
 SHOWN = 3
 
 
@@ -100,11 +101,8 @@ def check_control(views: Views, control: Control) -> None:
     if not np.any(far):
         return
     if np.sum(far) > 0.5 * len(names) and len(names) > 1:
-        shift = ", ".join(f"{x:+.{0 if np.linalg.norm(rays.shift) > 100.0 else 2}f}" for x in rays.shift)
         raise ValueError(
-            f"{int(np.sum(far))} of {len(names)} points lie far from the rays of their pixels: moved by {shift} m "
-            f"(east, north, up) they would fit best. Are their coordinate system and vertical datum right, and those "
-            f"of the images? If so, the navigation is less accurate than stated."
+            f"{int(np.sum(far))} of {len(names)} points lie far from the rays of their pixels: {_advice(rays)}"
         )
     worst = int(np.argmax(np.where(far, nearest, -1.0)))
     rows = np.flatnonzero(point == worst)
@@ -116,6 +114,27 @@ def check_control(views: Views, control: Control) -> None:
         f"point {names[worst]} lies far from the rays of its pixels: {which}, of image {control.marks.image[row]}, "
         f"passes it by {rays.miss[row]:.3g} m ({rays.sigmas[row]:.0f} standard deviations of the navigation). Correct "
         f"its position, its name or its pixels, or leave it out.{more}"
+    )
+
+
+def check_fit(views: Views, control: Control, excess: float, of_ties: float) -> None:
+    """Refuse control that an adjustment could use only with `excess` px added to the standard deviations of its pixels,
+    far more than these and than what is added to those of tie points: most of it is wrong in the same way.
+
+    Raises `ValueError` with the shift on which the points agree.
+    """
+    if excess > max(HOPELESS * float(np.median(control.marks.sigma)), 2.0 * of_ties):
+        raise ValueError(
+            f"the control contradicts tie points and navigation: {excess:.0f} px would have to be added to the "
+            f"standard deviations of its pixels; {_advice(_Rays.of(views, control))}"
+        )
+
+
+def _advice(rays: _Rays) -> str:
+    shift = ", ".join(f"{x:+.{0 if np.linalg.norm(rays.shift) > 100.0 else 2}f}" for x in rays.shift)
+    return (
+        f"moved by {shift} m (east, north, up) the points would fit best. Are their coordinate system and vertical "
+        f"datum right, and those of the images? If so, the navigation is less accurate than stated."
     )
 
 

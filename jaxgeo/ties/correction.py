@@ -13,7 +13,7 @@ from jaxgeo.adjust.initial_points import of_parallel_rays
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.ties.block import Ties
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
-from jaxgeo.ties.control import Control, check_control
+from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
 from jaxgeo.ties.map_control import MapControl
@@ -171,7 +171,9 @@ def correct(
     and nothing tells which one is wrong, both are. `refused` says which and why.
 
     Raises `ValueError` without tie points between any two images, for rays that are all parallel, for control that does
-    not belong to these images (`check_control`) or of which more than half is left out, and as `jaxgeo.adjust.adjust`.
+    not belong to these images (`check_control`), that contradicts them (more than thirty times the standard deviations
+    of its pixels would have to be added to these), or of which more than half is left out, and as
+    `jaxgeo.adjust.adjust`.
     """
     check_is(views, Views, "views")
     if map_control is not None:
@@ -206,6 +208,8 @@ def correct(
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
+        if control is not None and final.kept.control.size:
+            check_fit(views, control, final.excess.control, final.excess.ties)
     if map_control is None:
         return _correction(views, final, given, control, blunders)
     chosen = with_control(final.found, Tied(block, unknowns, terrain, final.kept, final.excess), map_control)

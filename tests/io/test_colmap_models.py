@@ -260,6 +260,21 @@ def test_heights_that_no_camera_has_are_refused_in_a_map_too(tmp_path: pathlib.P
         read_acquisition(tmp_path, crs="EPSG:32616", height_datum=0.0)
 
 
+def test_the_frame_of_a_comment_is_that_of_the_argument(tmp_path: pathlib.Path) -> None:
+    write_text(tmp_path, "RADIAL", pose_words(R_ENU, CENTRE_ENU))
+    expected = read_acquisition(tmp_path, crs=ENU, height_datum="ellipsoid")
+    images = tmp_path / "images.txt"
+    images.write_text(f"# written by hand\n# frame: {ENU}\n{images.read_text(encoding='utf-8')}", encoding="utf-8")
+    found = read_acquisition(tmp_path)
+    for mine, theirs in zip(jax.tree.leaves(found.shots), jax.tree.leaves(expected.shots), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    assert any(ENU in one for one in found.assumed)
+    other = read_acquisition(tmp_path, crs=ENU.replace("36.", "37."), height_datum="ellipsoid")
+    assert not np.allclose(other.shots.pose.position.lat, found.shots.pose.position.lat)
+    with pytest.raises(TableError, match="above the ellipsoid; got height_datum='EPSG:5773'"):
+        read_acquisition(tmp_path, height_datum="EPSG:5773")
+
+
 FRAMES: dict[str, tuple[bool, dict[str, Any], type[Exception], str]] = {
     "no frame": (False, {"height_datum": "ellipsoid"}, TableError, 'states no frame.*crs="EPSG:4978"'),
     "looks geocentric": (True, {"height_datum": "ellipsoid"}, TableError, "They look geocentric"),

@@ -300,7 +300,8 @@ def test_positions_on_the_command_line(folder: pathlib.Path) -> None:
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert [one["name"] for one in told["unread"]] == ["DJI_0002.JPG"]
-    assert "it has none of the images" in told["unread"][0]["reason"]
+    assert "it has no position of DJI_0002.JPG, but of DJI_0001.JPG" in told["unread"][0]["reason"]
+    assert not any("of no image here" in one for one in told["assumed"])
     assert [row["lat_deg"] for row in told["exposures"]] == [pytest.approx(36.3)]
     assert told["errors"]["position: down, m"] == 0.03
     alone = run("inspect", path)

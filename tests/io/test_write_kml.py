@@ -61,6 +61,18 @@ def test_points_stand_above_the_sea_and_a_lost_fix_has_no_place(tmp_path: pathli
     assert "EGM96" in (root.findtext("kml:Document/kml:description", None, KML) or "")
 
 
+@pytest.mark.parametrize(
+    "suffix, place", [(".kml", "kml:Document/kml:Document/kml:Placemark"), (".gpx", ".//{*}trkpt")]
+)
+def test_fixes_of_one_image_are_told_apart_by_their_pixels(tmp_path: pathlib.Path, suffix: str, place: str) -> None:
+    pixels = [("a.jpg", 10.0, 20.5), ("a.jpg", 30.0, 40.0), ("b.jpg", 10.0, 20.5)]
+    attributes = [{"name": name, "u": u, "v": v} for name, u, v in pixels]
+    path = tmp_path / f"fixes{suffix}"
+    write_fixes(path, made(), attributes=attributes)
+    names = [one.findtext("{*}name") for one in ET.fromstring(path.read_bytes()).findall(place, KML)]
+    assert names == ["a.jpg, pixel 10, 20.5", "a.jpg, pixel 30, 40", "b.jpg"]
+
+
 def test_texts_survive_and_markup_stays_text(tmp_path: pathlib.Path) -> None:
     root = write(tmp_path / "fixes.kml")
     mark = root.findall("kml:Document/kml:Document/kml:Placemark", KML)[0]

@@ -151,6 +151,15 @@ def test_control_that_fits_much_worse_than_stated_is_doubted(strip: Surveyed) ->
 
 
 @pytest.mark.costly
+def test_control_of_another_datum_is_refused_with_its_shift(strip: Surveyed) -> None:
+    """Not far from the rays of its pixels for this navigation, and yet against all else."""
+    wrong = moved(strip, [0.0, 0.0, 60.0])
+    check_control(strip.given, wrong)
+    with pytest.raises(ValueError, match=r"the control contradicts .* moved by .*, -6[0-3]\.\d+ m \(east, north, up\)"):
+        corrected(strip, wrong)
+
+
+@pytest.mark.costly
 def test_points_in_one_image_count(strip: Surveyed) -> None:
     """Two points in one image each hold the block better than the navigation does."""
     marks = strip.control.marks

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import pathlib
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ ENDINGS = (".bin", ".txt")  # COLMAP itself reads the binary files if both are t
 MOST_SIDE = 10_000_000  # largest image side, pixels
 FARTHEST = 1e12  # limit of translations, m
 MOST_NAME = 4096  # longest image name, bytes
+FRAME = re.compile(r"#\s*frame:\s*(\S+)\s*$")
 POSE_WORDS = 10  # of an image's first line: IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME
 _COUNT, _CAMERA, _IMAGE, _POINT = (struct.Struct(f"<{form}") for form in ("Q", "iiQQ", "I7dI", "ddQ"))
 
@@ -124,6 +126,18 @@ def read_model(path: str | os.PathLike[str]) -> RawModel:
         folder, ending, cameras, np.array(names), np.array([number for _, number, _ in images]),
         poses[:, :4] / lengths[:, None], poses[:, 4:],
     )  # fmt: skip
+
+
+def stated_frame(model: RawModel) -> str | None:
+    """The frame that a comment at the head of the images' text file states, as `write_colmap` does; None without."""
+    if model.ending != ".txt":
+        return None
+    for line in read_text(model.folder / "images.txt", "image file of COLMAP").splitlines():
+        if not line.startswith("#"):
+            break
+        if found := FRAME.match(line):
+            return found[1]
+    return None
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:

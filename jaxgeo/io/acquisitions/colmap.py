@@ -9,7 +9,15 @@ import numpy as np
 import pyproj
 
 from jaxgeo._checks import require_x64
-from jaxgeo.io.acquisitions._colmap_files import ENDINGS, RawCamera, RawModel, files_of_model, is_colmap, read_model
+from jaxgeo.io.acquisitions._colmap_files import (
+    ENDINGS,
+    RawCamera,
+    RawModel,
+    files_of_model,
+    is_colmap,
+    read_model,
+    stated_frame,
+)
 from jaxgeo.io.acquisitions._world_frames import FRAMES, RADII, poses_in_frame
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
@@ -45,7 +53,8 @@ def read_colmap(
     down, forward); the centre of the first pixel is (0.5, 0.5). Camera models SIMPLE_PINHOLE, PINHOLE,
     SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are read, with the distortion as `BrownConrady`, and
     SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE and OPENCV_FISHEYE as `Fisheye`. A model states neither its frame nor its
-    scale: `colmap model_aligner` gives both.
+    scale: `colmap model_aligner` gives both. `write_colmap` states the frame, with ellipsoidal
+    heights, in a comment, which is read.
 
     - `crs`: "EPSG:4978" for a model aligned with `--alignment_type ecef`; "enu:LAT,LON,HEIGHT" for `enu`, whose
       origin is the first of the positions that COLMAP aligned to; a map in metres for positions in that map
@@ -53,9 +62,10 @@ def read_colmap(
     - `height_datum`: datum of the altitudes that the model was aligned with, which COLMAP takes for ellipsoidal.
     - `camera`: selects the images of one camera by its number; images of one record have one size.
 
-    Raises `TableError` for a missing `crs` or one that does not fit the positions, another camera model (named), a
-    file that is damaged, cut off or misses its partner, cameras of several sizes; `UnstatedDatum` without
-    `height_datum`; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    Raises `TableError` for a missing `crs`, without such a comment, or one that does not fit the positions, another
+    camera model (named), a file that is damaged, cut off or misses its partner, cameras of several sizes;
+    `UnstatedDatum` without `height_datum`; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats
+    off.
     """
     require_x64()
     model = read_model(path)
@@ -66,16 +76,20 @@ def read_colmap(
     check_one_size(path, cameras, taken_by[rows])
     R_world_from_camera = np.swapaxes(_rotations(model.quaternions[rows]), -1, -2)
     centres = -np.einsum("nij,nj->ni", R_world_from_camera, model.translations[rows])
-    if crs is None:
+    frame, of_comment = crs, []
+    if crs is None and (frame := stated_frame(model)) is not None:
+        height_datum = _of_ellipsoid(path, height_datum)
+        of_comment = [f"The frame is that of the comment in images.txt, {frame}, above the ellipsoid."]
+    if frame is None:
         _refuse_no_frame(path, centres)
-    pose, notes = poses_in_frame(path, crs, height_datum, centres, R_world_from_camera)
+    pose, notes = poses_in_frame(path, frame, height_datum, centres, R_world_from_camera)
     return Acquisition(
         path=os.fspath(path),
         form=FORM,
         names=model.names[rows],
         sensor=sensor_of(cameras, taken_by[rows]),
         shots=shots_of(pose),
-        assumed=(*notes, NO_ERRORS, AS_READ, NO_TIMES, *_other_files(model)),
+        assumed=(*of_comment, *notes, NO_ERRORS, AS_READ, NO_TIMES, *_other_files(model)),
         facts={"images": f"{len(rows)} of {len(model.names)}", "cameras": _models(used)},
     )
 
@@ -121,6 +135,16 @@ def _refuse_no_frame(path: Any, centres: np.ndarray) -> None:
         f"{path}: a model of COLMAP states no frame (the first camera is at {', '.join(f'{x:.6g}' for x in centres[0])}"
         f").{guess} Align it to positions (colmap model_aligner) and give its frame: {FRAMES}."
     )
+
+
+def _of_ellipsoid(path: Any, height_datum: str | float | None) -> str:
+    """Datum of heights of a frame that `write_colmap` states. Raises `TableError` for another one given."""
+    if height_datum not in (None, "ellipsoid", 0):
+        raise TableError(
+            f"{path}: the frame stated in images.txt is above the ellipsoid; got height_datum={height_datum!r}. Leave "
+            f"it out, or state another frame with crs=."
+        )
+    return "ellipsoid"
 
 
 def _models(used: dict[str, RawCamera]) -> str:

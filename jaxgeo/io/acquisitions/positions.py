@@ -195,6 +195,8 @@ def _none_joined(found: Acquisition, table: PositionTable) -> str:
         first, last = (np.datetime64(int(one), "s") for one in (np.min(table.time), np.max(table.time)))  # type: ignore[arg-type]
         own = np.datetime64(int(np.asarray(found.shots.time)[0]), "s")
         return f"{table.path}: no image was taken at one of its times, {first} to {last} (UTC); the first is of {own}."
+    if len(found) == 1:
+        return f"{table.path}: it has no position of {found.names[0]}, but of {_some(np.asarray(there).astype(str))}."
     return (
         f"{table.path}: it has none of the images: they are {_some(found.names)}, and it has "
         f"{_some(np.asarray(there).astype(str))}."
@@ -218,7 +220,7 @@ def _notes(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.
             f"{_some(np.array(missing))}."
         )
     spare = len(np.asarray(table.position.lat)) - len(set(rows.tolist()))
-    if spare:
+    if spare and len(found) > 1:  # one image is of one row, and a folder may be read image by image
         notes.append(f"{spare} rows of {os.path.basename(table.path)} are of no image here.")
     return notes
 
