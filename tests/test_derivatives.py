@@ -107,6 +107,7 @@ def steps_for(J: np.ndarray, move: float) -> tuple[np.ndarray, np.ndarray]:
     return moving, move / strength[moving]
 
 
+@pytest.mark.costly
 def test_the_jacobian_equals_central_differences_and_gradients_reach_exactly_the_four_posts_under_the_hit(forward):
     z, J = np.asarray(forward.z), forward.J
     touched = np.flatnonzero(np.any(J[:, forward.count :] != 0.0, axis=0))

@@ -213,6 +213,7 @@ SIGHTS = {
 }
 
 
+@pytest.mark.costly
 def test_what_terrain_hides_and_what_it_cannot_tell():
     posts = np.full((17, 17), 100.0)
     posts[:, :3] = 300.0

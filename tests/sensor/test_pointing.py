@@ -60,6 +60,7 @@ def look_and_project(sensor, pose, point, uv):
     return shot.gimbal_readings, seen, sensor.gimbal.inside_limits(shot.gimbal_readings)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name", [n if n.startswith("drone") else pytest.param(n, marks=pytest.mark.slow) for n in SENSORS]
 )
