@@ -7,7 +7,7 @@ from typing import Any
 
 from beartype import beartype
 
-checks: dict[tuple[str, str, str], Callable[..., Any]] = {}
+checks: dict[tuple[str, str], Callable[..., Any]] = {}  # the last ones of beartype, by module and name
 
 
 def on_first_call(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -27,7 +27,8 @@ def on_first_call(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _checks_of(function: Callable[..., Any]) -> Callable[..., Any]:
-    what = function.__module__, function.__qualname__, repr(function.__annotations__)
-    if what not in checks:
-        checks[what] = beartype(function)
-    return checks[what]
+    name = function.__module__, function.__qualname__
+    # Annotations differ, as classes do, if a module was imported once more.
+    if name not in checks or checks[name].__annotations__ != function.__annotations__:
+        checks[name] = beartype(function)
+    return checks[name]

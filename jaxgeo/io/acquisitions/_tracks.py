@@ -29,7 +29,7 @@ def at_times(found: Acquisition, table: PositionTable) -> PositionTable:
     if not found.time_is_utc:
         raise TableError(
             f"{table.path}: positions of a trajectory are joined by time, but the times of {found.path} are not in UTC "
-            f"(no UTCAtExposure, GPSTimeStamp or OffsetTimeOriginal in the tags). Add the camera's time zone to the tags "
+            f"(no UTCAtExposure, GPSTimeStamp or OffsetTimeOriginal in the tags). Add the camera's time zone "
             f"(OffsetTimeOriginal, such as +08:00), or give positions by the names of the images (geo.txt)."
         )
     assert table.time is not None
