@@ -7,7 +7,7 @@ from typing import Any
 
 from beartype import beartype
 
-checks: dict[tuple[str, str], Callable[..., Any]] = {}  # the last ones of beartype, by module and name
+checks: dict[tuple[str, ...], Callable[..., Any]] = {}  # the last ones of beartype, by module, name and what is checked
 
 
 def on_first_call(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -27,7 +27,7 @@ def on_first_call(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _checks_of(function: Callable[..., Any]) -> Callable[..., Any]:
-    name = function.__module__, function.__qualname__
+    name = function.__module__, function.__qualname__, *function.__annotations__
     # Annotations differ, as classes do, if a module was imported once more.
     if name not in checks or checks[name].__annotations__ != function.__annotations__:
         checks[name] = beartype(function)
