@@ -93,7 +93,9 @@ def write_mosaic(
     and a raster that is too large; `ImageError` for images that cannot be read or are not of the size of their cameras;
     `NothingSeen` if no image sees ground; `OSError` where files cannot be written.
     """
-    target, files, (bands, dtype) = _checked(path, images, exposures, Reach(allow_remote, allow_outside))
+    target = checked_target(path, "a mosaic")
+    files, (bands, dtype) = _checked(images, exposures, Reach(allow_remote, allow_outside))
+    check_no_input("path", [target], files)
     rasters, left_out = _rasters(files, exposures, terrain, crs, resolution)
     whole = _joined(f"{target}", list(rasters.values()))
     tell = (lambda *_: None) if callback is None else callback
@@ -136,24 +138,22 @@ def check_mosaic(
     allow_remote: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Raise what `write_mosaic` raises before it rectifies, for exposures that may still change a little: not if no
-    image sees ground."""
-    target, files, _ = _checked(path, images, exposures, Reach(allow_remote, allow_outside))
+    """Raise what `write_mosaic` raises about images and cells, for exposures that may still change a little: not if no
+    image sees ground. The folder of `path` need not be there yet."""
+    files, _ = _checked(images, exposures, Reach(allow_remote, allow_outside))
     with contextlib.suppress(NothingSeen):
-        _joined(f"{target}", list(_rasters(files, exposures, terrain, crs, resolution)[0].values()))
+        _joined(f"{path}", list(_rasters(files, exposures, terrain, crs, resolution)[0].values()))
 
 
 def _checked(
-    path: str | os.PathLike[str], images: Sequence[Any], exposures: Sequence[Exposure], reach: Reach
-) -> tuple[pathlib.Path, list[str], tuple[int, np.dtype]]:
-    """(the mosaic's path, the names of the images, their bands and dtype)."""
+    images: Sequence[Any], exposures: Sequence[Exposure], reach: Reach
+) -> tuple[list[str], tuple[int, np.dtype]]:
+    """(the names of the images, their bands and dtype)."""
     require_x64()
-    target = checked_target(path, "a mosaic")
     files = [os.fspath(one) for one in images]
     if len(files) != len(exposures) or not files:
         raise ValueError(f"give an exposure for each of one image or more; got {len(files)} and {len(exposures)}.")
-    check_no_input("path", [target], files)
-    return target, files, _kind(files, reach)
+    return files, _kind(files, reach)
 
 
 def _kind(files: Sequence[str], reach: Reach) -> tuple[int, np.dtype]:

@@ -121,7 +121,7 @@ def test_images_that_do_not_go_together_are_refused(here, tmp_path, check) -> No
     with pytest.raises(ValueError, match=r"has bands 1 of float32, .*other\.tif 1 of uint16"):
         check(tmp_path / "a.tif", [files[0], other], exposures[:2], ground(), crs=UTM, resolution=2.0)
     with pytest.raises(ValueError, match=r"ends in \.tif"):
-        check(tmp_path / "a.png", files, exposures, ground())
+        write_mosaic(tmp_path / "a.png", files, exposures, ground())
     with pytest.raises(ValueError, match="more than a file can have"):  # each image alone would do
         check(tmp_path / "a.tif", files, exposures, ground(), crs=UTM, resolution=0.002)
 
@@ -132,7 +132,7 @@ def test_a_check_needs_no_ground_and_writes_nothing(here, tmp_path) -> None:
     assert isinstance(exposures[0].motion, Shot)
     up = Exposure(SENSOR, Shot(Pose(exposures[0].motion.pose.position, 0.0, np.pi, 0.0), np.zeros(0)))
     check_mosaic(tmp_path / "a.tif", files[:1], [up], ground(), crs=UTM, resolution=2.0)
-    check_mosaic(tmp_path / "a.tif", files, exposures, ground(), crs=UTM, resolution=CELL)
+    check_mosaic(tmp_path / "not there yet" / "a.tif", files, exposures, ground(), crs=UTM, resolution=CELL)
     assert not list(tmp_path.iterdir())
 
 
