@@ -53,14 +53,15 @@ _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for
 
 
 class LinePlan(NamedTuple):
-    """What the lines of sight of a sampling come from; for `places` see `places_of_ground`."""
+    """What the lines of sight of a sampling come from; for `places` see `places_of_ground`. `seeds` are those of the
+    key."""
 
     inputs: ModelInputs
     model: ErrorModel
     roots: tuple[Root, ...]
     rotation: Rotation | None
     draws: AbstractDraws
-    key: Any
+    seeds: Any
     places: Any
 
 
@@ -163,14 +164,15 @@ def make_plan(
     rotation = Rotation.none(model.size) if isinstance(draws, Sobol) else None
     if has_own_field(places):  # the older emitter does not finish
         size = size._replace(is_long_run=True)
+    seeds = lambda key: jax.device_put(draws.seeds(key, model.size, leading_of(model)))  # noqa: E731
     plan = Plan(
-        LinePlan(inputs, model, roots, rotation, draws, key, places),
+        LinePlan(inputs, model, roots, rotation, draws, seeds(key), places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         arrays, rest = eqx.partition(plan, eqx.is_array)
         plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
-    trial = draw_lines(plan.lines._replace(key=first_key()), Part.of(0, TRIALS, size), size, TRIALS)
+    trial = draw_lines(plan.lines._replace(seeds=seeds(first_key())), Part.of(0, TRIALS, size), size, TRIALS)
     if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
         some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)
         trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
@@ -278,7 +280,7 @@ _draw_chunk_short, _draw_chunk_long = batch_filter_jit(_draw_chunk), long_run_fi
 
 @eqx.filter_jit
 def _lines_of_step(number: Index, step: int, first: Index, plan: LinePlan) -> tuple[PerturbedLines, tuple[()]]:
-    stages = error_stages(plan.draws, plan.key, plan.model, plan.roots, plan.rotation)
+    stages = error_stages(plan.draws, plan.seeds, plan.model, plan.roots, plan.rotation)
     samples = first + number * step + jnp.arange(step)
     return perturbed_lines(plan.model, plan.inputs, plan.places, stages, samples), ()
 

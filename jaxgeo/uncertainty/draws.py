@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import functools
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -32,6 +32,13 @@ ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 WEYL = 0x9E3779B9  # step of the seeds of the scrambles (Steele, Lea and Flood 2014, "Fast splittable generators")
 SEEDS = 2**31  # second counter word of the first seed; independent numbers are counted from 0
 LEADING = 4  # numbers of a sample from Sobol points, two at a time: a fix depends on three to first order
+
+
+class Seeds(NamedTuple):
+    """The two words that a key becomes, and two for each axis of Sobol points (none for independent numbers)."""
+
+    own: Any
+    of_points: tuple[Any, ...] = ()
 
 
 def first_key() -> Any:
@@ -67,8 +74,15 @@ class AbstractDraws(Record):
         """
 
     def sample_stages(self, key: Any, size: int, leading: int) -> tuple[Stage, ...]:
-        """The stages of the standard normal vectors from which `sample` draws, whose first numbers matter most."""
+        """The stages of the standard normal vectors from which `sample` draws, whose first numbers matter most.
+
+        `key` is a key, or the `seeds` of one.
+        """
         return self.stages(key, size)
+
+    def seeds(self, key: Any, size: int, leading: int) -> Any:
+        """What `sample_stages` make of a key, so that a program of theirs need not."""
+        return key
 
 
 class Random(AbstractDraws):
@@ -76,10 +90,13 @@ class Random(AbstractDraws):
 
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Pairs:
-            _check(key, index, size, self.most)
-            return _random_pairs(_own_words(key), jnp.asarray(index), size)
+            _check(index, size, self.most)
+            return _random_pairs(self.seeds(key, size).own, jnp.asarray(index), size)
 
         return uniform, _polar, functools.partial(_normal, size=size)
+
+    def seeds(self, key: Any, size: int, leading: int = 0) -> Seeds:
+        return key if isinstance(key, Seeds) else Seeds(_own_words(key))
 
 
 class Sobol(AbstractDraws):
@@ -106,15 +123,15 @@ class Sobol(AbstractDraws):
 
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Vector:
-            _check(key, index, size, self.most)
-            return self._points(_own_words(key), jnp.asarray(index), size)
+            _check(index, size, self.most)
+            return self._points(_of_points(_own_words(key), size), jnp.asarray(index), size)
 
         return uniform, normal_quantile
 
     def sample_stages(self, key: Any, size: int, leading: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> tuple[Any, Any]:
-            _check(key, index, size, self.most)
-            return self._mixed_pairs(_own_words(key), jnp.asarray(index), size, leading)
+            _check(index, size, self.most)
+            return self._mixed_pairs(self.seeds(key, size, leading), jnp.asarray(index), size, leading)
 
         def polar(uniform: tuple[Any, Any]) -> tuple[Any, Any]:
             return _polar(uniform[0]), _polar(uniform[1])
@@ -125,28 +142,34 @@ class Sobol(AbstractDraws):
 
         return uniform, polar, normal
 
+    def seeds(self, key: Any, size: int, leading: int) -> Seeds:
+        if isinstance(key, Seeds):
+            return key
+        own = _own_words(key)
+        return Seeds(own, _of_points(own, 2 * _pairs(size, leading)))
+
     def trial(self, count: int, size: int, leading: int) -> np.ndarray:
         """The first samples (count, size) of `sample_stages` of the key 0, by NumPy."""
         zero = np.zeros(1, np.uint32)
         own = threefry((zero, zero), zero, zero + np.uint32(OWN))
-        pairs = self._mixed_pairs(own, np.arange(count), size, leading)
+        seeds = Seeds(own, _of_points(own, 2 * _pairs(size, leading)))
+        pairs = self._mixed_pairs(seeds, np.arange(count), size, leading)
         centred, turn = (np.concatenate(parts, axis=1) for parts in zip(*pairs, strict=True))
         radius, angle = np.sqrt(-2.0 * np.log(0.5 + centred)), 2.0 * np.pi * turn
         return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2).reshape(count, -1)[:, :size]
 
-    def _mixed_pairs(self, own: Any, index: Any, size: int, leading: int) -> tuple[Any, Any]:
+    def _mixed_pairs(self, seeds: Seeds, index: Any, size: int, leading: int) -> tuple[Any, Any]:
         """Pairs of uniform numbers from Sobol points for the first normal numbers, and independent ones for the others.
 
         Not joined before they are normal, which would keep the compiler from computing several at once.
         """
-        pairs = -(-min(size, leading) // 2)
-        points = self._points(own, index, 2 * pairs)
-        return (points[..., 0::2], points[..., 1::2]), _random_pairs(own, index, size - 2 * pairs)
+        pairs = _pairs(size, leading)
+        points = self._points(seeds.of_points, index, 2 * pairs)
+        return (points[..., 0::2], points[..., 1::2]), _random_pairs(seeds.own, index, size - 2 * pairs)
 
-    def _points(self, own: Any, index: Any, size: int) -> Any:
+    def _points(self, seeds: tuple[Any, ...], index: Any, size: int) -> Any:
         """Coordinates in (-1/2, 1/2) of samples. The bits below 2^-32 repeat others, so that points lie anywhere."""
-        axes, zeros = np.uint32(SEEDS) + np.arange(size, dtype=np.uint32), np.zeros(size, np.uint32)
-        seed, other = threefry(own, zeros, axes)
+        seed, other = seeds
         index, scrambles = index.astype(np.uint64), np.uint64(self.scrambles)  # without a sign they divide faster
         table = sobol.point_table(size)
         table = table if isinstance(index, np.ndarray) else jnp.asarray(table)
@@ -156,8 +179,26 @@ class Sobol(AbstractDraws):
         return _centre(sobol.mirror(digits), digits)
 
 
+def _pairs(size: int, leading: int) -> int:
+    """How many pairs of a sample come from Sobol points."""
+    return -(-min(size, leading) // 2)
+
+
 def _own_words(key: Any) -> Any:
-    return jax.random.key_data(jax.random.fold_in(key, OWN))
+    """The words of `jax.random.fold_in(key, OWN)`, in NumPy if the key is known."""
+    kind = str(jax.random.key_impl(key))
+    if kind != KIND:
+        raise ValueError(f"key must be of the kind {KIND}, as jax.random.key(0) is by default; got {kind}.")
+    words = concrete(jax.random.key_data(key))
+    if words is None:
+        return jax.random.key_data(jax.random.fold_in(key, OWN))
+    return threefry(np.asarray(words)[:, None], *np.array([[0], [OWN]], np.uint32))
+
+
+def _of_points(own: Any, size: int) -> tuple[Any, Any]:
+    """The two words of each axis of Sobol points."""
+    axes = np.uint32(SEEDS) + np.arange(size, dtype=np.uint32)
+    return threefry(own, np.zeros(size, np.uint32), axes)
 
 
 def _random_pairs(own: Any, index: Any, size: int) -> Pairs:
@@ -268,14 +309,11 @@ def normal_quantile(centred: Numbers) -> Numbers:
     return above / below * jnp.where(middle, centred, jnp.sign(centred))
 
 
-def _check(key: Any, index: Any, size: int, count: int) -> None:
+def _check(index: Any, size: int, count: int) -> None:
     """Raise `ValueError` if a sample cannot be drawn."""
     require_x64()
     if not isinstance(size, int) or size < 0:
         raise ValueError(f"size must be a whole number of at least 0; got {size!r}.")
-    kind = str(jax.random.key_impl(key))
-    if kind != KIND:
-        raise ValueError(f"key must be of the kind {KIND}, as jax.random.key(0) is by default; got {kind}.")
     if jnp.ndim(index) != 0 or not jnp.issubdtype(jnp.result_type(index), jnp.integer):
         raise ValueError(
             f"index must be one whole number; got shape {jnp.shape(index)} of {jnp.result_type(index)}. Draw several "

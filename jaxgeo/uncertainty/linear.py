@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,14 +13,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import is_known
-from jaxgeo._compile import quick_filter_jit
+from jaxgeo._compile import is_direct, quick_filter_jit
 from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
-from jaxgeo.observation import accepts_observation
+from jaxgeo.observation import Exposure, accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty._figures import figure
@@ -31,6 +32,7 @@ from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, alo
 Swept = Float[Array, "3 axes"]
 FACET = Facet()
 AXES = 16  # the derivatives of an error model have a multiple of this many axes, so that models share programs
+MOST_NUMBERS = 256  # of a larger part of an exposure derivatives are formed only if the errors move it
 LEAST_KNOWN = 0.5  # share of a footprint with known ground, below which the fitted plane is not used
 
 
@@ -229,15 +231,87 @@ class Derivatives(NamedTuple):
         return propagation_of(nominal, self.model, self.cov_error, found._replace(jacobian=jacobian))
 
 
-@quick_filter_jit
 def derivatives(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Derivatives:
-    """Derivatives by the errors of a model; the only part of linear propagation to compile for another model."""
+    """Derivatives of the line of sight by the errors of a model.
+
+    Called directly, only how the errors move the exposure is compiled for another model: the derivatives of the line of
+    sight by the exposure are a program of their own, which models of about as many axes share.
+    """
+    if not is_direct():
+        return _derivatives_at_once(inputs, nominal, model)
+    model, cov_error, moves = _moves(inputs, nominal, model)
+    shared = Shared(*_of_line((inputs.exposure, inputs.uv), moves), moves.cov_error)
+    return Derivatives(model, cov_error, shared)
+
+
+def _derivatives_at_once(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Derivatives:
     model = model.at(inputs, nominal)
     cov_error = model.covariance()
     base, by_error = model.tangents(inputs, nominal)
-    more = -model.size % AXES
-    padded = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)]), by_error)
-    return Derivatives(model, cov_error, Shared(base, padded, jnp.pad(cov_error, (0, more))))
+    return Derivatives(model, cov_error, Shared(base, _padded(by_error), _padded(cov_error, 2)))
+
+
+class Moves(NamedTuple):
+    """The parts of an exposure and its pixel that errors may move, without errors and their derivatives by the errors
+    (last axis, padded), and the same of the height in m of the terrain above the fix; the padded covariance."""
+
+    base: tuple[Any, Scalar]
+    by_error: tuple[Any, Float[Array, " sizes"]]
+    cov_error: Float[Array, "sizes sizes"]
+
+
+@quick_filter_jit
+def _moves(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> tuple[ErrorModel, Any, Moves]:
+    """(model at the observation, its covariance, how its errors move the exposure)."""
+    model = model.at(inputs, nominal)
+    cov_error = model.covariance()
+    may_move = _may_move(inputs, model)
+
+    def reached(error: Array) -> tuple[Any, Any]:
+        moved = model.moved(inputs, error)
+        parts = eqx.filter((moved.exposure, moved.uv), may_move)
+        found = parts, -moved.terrain.clearance(nominal.p_ecef, nominal.cell)
+        return found, found
+
+    by_error, base = jax.jacfwd(reached, has_aux=True)(jnp.zeros(model.size))
+    return model, cov_error, Moves(base, _padded(by_error), _padded(cov_error, 2))
+
+
+def _may_move(inputs: ModelInputs, model: ErrorModel) -> Any:
+    """Whether each leaf of an exposure and its pixel is one that errors may move: the small ones, so that models share a
+    program, and those that this model moves."""
+    found: Any = None
+
+    def moved(inputs: ModelInputs) -> Any:
+        nonlocal found
+        given = {id(leaf) for leaf in jax.tree.leaves((inputs.exposure, inputs.uv))}
+        after = model.moved(inputs, jnp.zeros(model.size))
+        found = jax.tree.map(
+            lambda leaf: eqx.is_inexact_array(leaf) and (leaf.size <= MOST_NUMBERS or id(leaf) not in given),
+            (after.exposure, after.uv),
+        )
+        return ()
+
+    eqx.filter_eval_shape(moved, inputs)
+    return found
+
+
+@quick_filter_jit
+def _of_line(exposed: tuple[Exposure, Any], moves: Moves) -> tuple[Tangents, Tangents]:
+    """(what the fix depends on, its derivatives by the errors), from those of the exposure."""
+
+    def reached(parts: Any, raised: Scalar) -> Tangents:
+        exposure, uv = eqx.combine(parts, exposed)
+        return Tangents(ModelInputs(exposure, uv).ray(), jax.tree.map(jnp.asarray, exposure.atmosphere), raised)
+
+    along = lambda one: jax.jvp(reached, moves.base, one)[1]  # noqa: E731
+    return reached(*moves.base), jax.vmap(along, in_axes=-1, out_axes=-1)(moves.by_error)
+
+
+def _padded(by_error: Any, axes: int = 1) -> Any:
+    """Arrays with zeros up to the next size in their last axes."""
+    pad = lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - axes) + [(0, -x.shape[-1] % AXES)] * axes)  # noqa: E731
+    return jax.tree.map(pad, by_error)
 
 
 @quick_filter_jit

@@ -218,22 +218,23 @@ def test_derivatives_by_way_of_the_line_of_sight_are_those_through_the_whole_mod
     assert np.trace(errors.shared.cov_error) == pytest.approx(np.trace(errors.cov_error))
 
 
-@pytest.mark.slow
-def test_another_model_compiles_its_own_derivatives_only() -> None:
+def test_another_model_compiles_only_how_its_errors_move_the_exposure() -> None:
     scene = looks.sensor(), looks.shot(), looks.UV, ConstantHeight(120.0)
-    position, attitude = looks.few_sources().sources[:2]
-    jaxgeo.accuracy(*scene, (position,))
-    compiled: list[str] = []
+    position, attitude, *_, pixel = looks.few_sources().sources
+    propagate(*scene, (position,))
+    traced: list[str] = []
 
     def on(name: str, _: float, **about: object) -> None:
         if name.endswith("jaxpr_trace_duration"):
-            compiled.append(str(about.get("fun_name")))
+            traced.append(str(about.get("fun_name")))
 
     jax.monitoring.register_event_duration_secs_listener(on)
-    jaxgeo.accuracy(*scene, (position, attitude))
-    jax.monitoring.unregister_event_duration_listener(on)
-    assert "derivatives" in compiled
-    assert not {"_nominal_fix", "_diagnose_shared", "circular_error", "spherical_error"} & set(compiled)
+    try:
+        propagate(*scene, (position, attitude, pixel))
+    finally:
+        jax.monitoring.unregister_event_duration_listener(on)
+    assert "_moves" in traced
+    assert not {"_nominal_sightline", "met_by", "nominal_fix_of", "_of_line", "_over"} & set(traced)
 
 
 @pytest.mark.parametrize("question", [jaxgeo.propagate, jaxgeo.accuracy, jaxgeo.compare, sample])
