@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import shlex
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,6 +70,15 @@ def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> lis
             continue
         written += names
     return written
+
+
+def locate_command(folder: pathlib.Path, written: list[str], crs: str | None) -> str | None:
+    """The command, without its elevation model, that locates pixels with the orientations, cameras and standard
+    deviations of the output; None if no model has the cameras."""
+    if OPENSFM not in written:
+        return None
+    words = ["jaxgeo", "locate", f"{folder / TABLES[0]}", "--camera", f"{folder / OPENSFM}"]
+    return shlex.join([*words, *([] if crs is None else ["--source-crs", crs])])
 
 
 def check_report() -> None:
@@ -192,4 +202,6 @@ def print_summary(content: dict[str, Any], found: Correction | None) -> None:
             f"{one['file']}: {one['rows']} rows of {one['columns']} cells of {one['transform'][0]:.6g}, {one['crs']}; "
             f"{share:.0f} % of them known"
         )
+    if content.get("locate"):
+        say(f"pixels by these orientations, cameras and standard deviations: {content['locate']} --dem DEM")
     say(f"{', '.join(content['files'])}; {content['seconds']:.1f} s")

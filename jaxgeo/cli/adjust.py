@@ -17,7 +17,15 @@ from jaxgeo.cli._adjust_control import ControlOptions
 from jaxgeo.cli._adjust_map import MapOptions, rows_to_register
 from jaxgeo.cli._adjust_map import on_map as registered_to
 from jaxgeo.cli._adjust_mosaic import MosaicOptions
-from jaxgeo.cli._adjust_outputs import FILES, check_report, content_of, print_summary, write_files, write_page
+from jaxgeo.cli._adjust_outputs import (
+    FILES,
+    check_report,
+    content_of,
+    locate_command,
+    print_summary,
+    write_files,
+    write_page,
+)
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
@@ -149,6 +157,7 @@ def adjust_command(
             written = write_files(output, found, crs)
             if report:
                 written.append(write_page(output, found, terrain, inputs, block.assumed))
+            more["locate"] = locate_command(output, written, crs)
             written = [f"{output / name}" for name in written]
             if of_mosaic.mosaic is not None:
                 more["mosaic"] = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)

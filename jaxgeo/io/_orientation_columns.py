@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pyproj
 
+from jaxgeo._text_numbers import number_in
 from jaxgeo.io._columns import Columns, read_columns
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
@@ -18,6 +20,7 @@ ALIASES = {
     "image": ("filename", "nom", "imagename", "photoid", "bildname", "bild", "f=n"),
     "camera": (),
     "time_s": (),
+    "height_datum": (),
     "x_m": ("x", "x/east", "x/easting", "easting"),
     "y_m": ("y", "y/north", "y/northing", "northing"),
     "z_m": ("z",),
@@ -60,6 +63,7 @@ KNOWN = frozenset(
     {other.lower() for names in (ALIASES, WEAK) for name, others in names.items() for other in (name, *others)}
     | {other for _, others in IN_GON.items() for other in others}
 )
+DATUM = re.compile(r"ellipsoid|EPSG:\d+")  # stated in a table; not a file, which it could name anywhere
 METASHAPE_CRS = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 
 
@@ -87,6 +91,25 @@ def stated_crs(columns: Columns) -> pyproj.CRS | None:
             except UNKNOWN_CRS:
                 continue
     return None
+
+
+def datum_of(columns: Columns, given: str | float | None) -> str | float | None:
+    """The vertical datum of a table's heights: the caller's, else that of its column `height_datum`. Raises
+    `TableError` if they differ, and for a column that states several, or none of `DATUM` and no undulation."""
+    if "height_datum" not in columns:
+        return given
+    path, stated = columns.table.path, np.unique(columns.names("height_datum"))
+    text, number = str(stated[0]), number_in(str(stated[0]))
+    if len(stated) > 1:
+        raise TableError(f"{path}: its column height_datum states both {text} and {stated[1]}; make it one table each.")
+    if number is None and DATUM.fullmatch(text) is None:
+        raise TableError(f"{path}: its column height_datum states {text!r}, not ellipsoid, EPSG:CODE or an undulation "
+                         f"in m; leave the column out and pass height_datum=.")  # fmt: skip
+    datum = text if number is None else number
+    if given is not None and given != datum and str(given) != text:
+        raise TableError(f"{path}: its column height_datum says that heights are above {text!r}, but "
+                         f"height_datum={given!r}; leave height_datum= out.")  # fmt: skip
+    return datum
 
 
 def angle_columns(columns: Columns, *, first: str) -> dict[str, Limits]:

@@ -14,8 +14,8 @@ from jaxgeo.sensor import FrameCamera
 
 FORMS = (
     'camera="focal=8.8mm,pitch=2.41um" (focal length and pixel size), camera="focal=8.8mm,sensor=13.2mm" (and width of '
-    'the sensor), camera="focal=3666px" (focal length in pixels of the image), or camera="camera.toml" (a scene file, '
-    "or its table [camera] alone)"
+    'the sensor), camera="focal=3666px" (focal length in pixels of the image), camera="camera.toml" (a scene file, '
+    'or its table [camera] alone), or camera="cameras.json" (of OpenSfM or OpenDroneMap)'
 )
 OWN_CAMERA = (
     'camera="focal=8.8mm,pitch=2.41um,size=5472x3648"; of a focal length for 35 mm film, '
@@ -50,9 +50,11 @@ class Lens:
 
 
 def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | Lens | str:
-    """Parse a camera: a lens from text with "=", a camera from a .toml file or Pix4D's .cam, else a name.
+    """Parse a camera: a lens from text with "=", a camera from a .toml file, Pix4D's .cam or OpenSfM's .json, else a
+    name.
 
-    Raises `TableError` for an invalid lens, `SceneError` for a file, `FileNotFoundError`.
+    Raises `TableError` for an invalid lens and a file with several cameras, `SceneError` for a file,
+    `FileNotFoundError`.
 
     >>> from jaxgeo.io.given_camera import given_camera
     >>> lens = given_camera("focal=8.8mm,pitch=2.41um")
@@ -71,12 +73,34 @@ def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | 
         from jaxgeo.io.pix4d_camera import pix4d_camera
 
         return pix4d_camera(text)
+    if ending == ".json":
+        cameras = _cameras_of_file(text)
+        if len(cameras) > 1:
+            raise TableError(
+                f"{text}: it has {len(cameras)} cameras, {', '.join(cameras)}; here one is meant. For a table of "
+                "orientations that names the camera of each image, it is taken as it is."
+            )
+        return next(iter(cameras.values()))
     return _lens(text) if "=" in text else text
+
+
+def cameras_by_name(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | dict[str, FrameCamera]:
+    """One camera with its image size, or the cameras of a file with several; raises as `whole_camera`."""
+    if not isinstance(camera, FrameCamera) and pathlib.Path(camera).suffix.lower() == ".json":
+        cameras = _cameras_of_file(camera)
+        return cameras if len(cameras) > 1 else next(iter(cameras.values()))
+    return whole_camera(camera)
 
 
 def is_a_name(camera: Any) -> bool:
     """Whether a camera is given by a name."""
-    return isinstance(camera, str) and "=" not in camera and not camera.lower().endswith((".toml", ".cam"))
+    return isinstance(camera, str) and "=" not in camera and not camera.lower().endswith((".toml", ".cam", ".json"))
+
+
+def _cameras_of_file(path: str | os.PathLike[str]) -> dict[str, FrameCamera]:
+    from jaxgeo.io.opensfm import read_opensfm_cameras
+
+    return read_opensfm_cameras(path)
 
 
 def _lens(text: str) -> Lens:

@@ -140,12 +140,24 @@ def read_opensfm(
 
 
 def read_opensfm_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]:
-    """Read the cameras of a `cameras.json` of OpenSfM or OpenDroneMap, by name; raises as `read_opensfm`."""
+    """Read the cameras of OpenSfM or OpenDroneMap by name: of a `cameras.json`, or of a `reconstruction.json`.
+
+    Cameras that are not read (spherical and others) are left out if there are more. Raises as `read_opensfm`, and
+    `TableError` for cameras of several reconstructions of the same name that differ.
+    """
     require_x64()
-    content = read_json(path, "reconstruction")
-    if not isinstance(content, dict) or not content:
-        raise TableError(f"{path}: expected cameras by name; got {shown(content)}.")
-    return _cameras(f"{path}", content)
+    content = read_json(path, "camera file")
+    parts = content if isinstance(content, list) else [content]
+    cameras: dict[str, Any] = {}
+    for part in parts or [parts]:
+        table = part.get("cameras", part) if isinstance(part, dict) else part
+        if not isinstance(table, dict) or not table:
+            raise TableError(f"{path}: expected cameras by name; got {shown(table)}.")
+        for name, camera in table.items():
+            if cameras.setdefault(name, camera) != camera:
+                raise TableError(f"{path}: its reconstructions differ in camera {name!r}; make a file of each.")
+    read = {name: camera for name, camera in cameras.items() if not _is_unread(camera)}
+    return _cameras(f"{path}", read or cameras)
 
 
 def _part(path: str | os.PathLike[str], content: Any, part: int | None) -> dict[str, Any]:

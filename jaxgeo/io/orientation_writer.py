@@ -14,10 +14,11 @@ import pyproj
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo._text_numbers import number_in
 from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._map_grid import MapGrid, metric_map
-from jaxgeo.io._orientation_columns import GRID_COLUMNS, SIGMA_COLUMNS
+from jaxgeo.io._orientation_columns import DATUM, GRID_COLUMNS, SIGMA_COLUMNS
 from jaxgeo.io.orientations import Orientations
 from jaxgeo.io.vertical import height_shift
 from jaxgeo.rotations import heading_pitch_roll_from_R
@@ -37,8 +38,9 @@ def write_orientations(
 ) -> None:
     """Write orientations to a CSV file that `read_orientations` reads: geographic, or with `crs` in that map.
 
-    Heights are written above `height_datum`, which must be that of `crs` if this has a vertical part. Precision is
-    1e-4 m and 1e-8 deg; headings are from 0 to 360. The file appears only when complete.
+    Heights are written above `height_datum`, which must be that of `crs` if this has a vertical part; the last column
+    states it, unless it is the path of a grid. Precision is 1e-4 m and 1e-8 deg; headings are from 0 to 360. The file
+    appears only when complete.
     Raises `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for an
     unsuitable map, `VerticalDatumError` for heights.
     """
@@ -61,10 +63,10 @@ def write_orientations(
     lost = ~np.all([np.isfinite(column) for column in numbers.values()], axis=0)
     if np.any(lost):
         raise ValueError(f"{target}: map or vertical datum do not reach image {orientations.names[np.argmax(lost)]}.")
-    _write(target, orientations, numbers)
+    _write(target, orientations, numbers, f"{height_datum}")
 
 
-def _write(target: pathlib.Path, orientations: Orientations, numbers: dict[str, np.ndarray]) -> None:
+def _write(target: pathlib.Path, orientations: Orientations, numbers: dict[str, np.ndarray], datum: str) -> None:
     columns: dict[str, list[str]] = {"image": orientations.names.tolist()}
     times = {} if orientations.time is None else {"time_s": orientations.time}
     for name, values in (numbers | times).items():
@@ -74,6 +76,8 @@ def _write(target: pathlib.Path, orientations: Orientations, numbers: dict[str, 
     if orientations.sigma is not None:
         sigma = np.concatenate([orientations.sigma[:, :3], np.rad2deg(orientations.sigma[:, 3:])], axis=1)
         columns |= {name: [f"{x:.9g}" for x in values] for name, values in zip(SIGMA_COLUMNS, sigma.T, strict=True)}
+    if DATUM.fullmatch(datum) or number_in(datum) is not None:
+        columns["height_datum"] = [datum] * len(orientations.names)
     with destination("orientations", target) as stream:
         writer = csv.writer(Rows(stream), lineterminator="\r\n")
         writer.writerow(columns)

@@ -25,6 +25,7 @@ from jaxgeo.io._orientation_columns import (
     SIGMA_COLUMNS,
     TIME,
     angle_columns,
+    datum_of,
     read_orientation_columns,
     stated_crs,
 )
@@ -91,7 +92,7 @@ class Orientations:
 def read_orientations(
     path: str | os.PathLike[str],
     *,
-    height_datum: str | float | None,
+    height_datum: str | float | None = None,
     crs: str | int | pyproj.CRS | None = None,
     linear_alteration_above: float | np.ndarray | None = None,
 ) -> Orientations:
@@ -105,8 +106,8 @@ def read_orientations(
     grid of that map at the image. Positions are exact, and the grid convergence is applied at each image. Headings in
     a map are from grid north: R_map_from_image = Rz(-heading) Rx(pitch) Ry(roll). In a `crs` of longitudes (x)
     and latitudes (y) in deg, and in geographic tables, omega, phi and kappa refer to east, north and up at the image.
-    The optional columns `camera`, `time_s` and, all six or none, `sigma_north_m`, `sigma_east_m`, `sigma_down_m`,
-    `sigma_heading_deg`, `sigma_pitch_deg`, `sigma_roll_deg` are used if present; others are ignored.
+    The optional columns `camera`, `time_s`, `height_datum` and, all six or none, `sigma_north_m`, `sigma_east_m`,
+    `sigma_down_m`, `sigma_heading_deg`, `sigma_pitch_deg`, `sigma_roll_deg` are used if present; others are ignored.
 
     Accepted aliases, in any case: `filename` or `nom` for the image; `x`, `y`, `z`, `omega` or `o`, `phi` or `p`,
     `kappa` or `k` (`odm_xyz_opk.csv`, and the OPK files of IGN, whose angles are the same: their world to camera,
@@ -118,7 +119,8 @@ def read_orientations(
     `#F=N X Y Z W P K`, in deg as OriConvert takes them.
 
     - `height_datum`: datum of the heights: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
-      m, the path of a geoid grid; as in scene files. None if the CRS has a vertical part.
+      m, the path of a geoid grid; as in scene files. None if the CRS has a vertical part, or the table a column
+      `height_datum`, in which each row states one of the first three.
     - `linear_alteration_above`: ground heights below in m above the same datum, one or one per image,
       if camera heights were stretched by the scale k of the map: z = Z + (k - 1) (Z - ground). Z is used.
 
@@ -129,7 +131,7 @@ def read_orientations(
     """
     require_x64()
     columns = read_orientation_columns(path)
-    crs = crs_of(columns, crs)
+    crs, height_datum = crs_of(columns, crs), datum_of(columns, height_datum)
     wanted = check_columns(columns, crs)
     names = columns.names("image")
     refuse_doubles(columns.table, names.tolist(), "image {} is there twice")

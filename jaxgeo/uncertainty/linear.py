@@ -278,8 +278,8 @@ def _moves(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> tuple
 
 
 def _may_move(inputs: ModelInputs, model: ErrorModel) -> Any:
-    """Whether each leaf of an exposure and its pixel is one that errors may move: the small ones, so that models share a
-    program, and those that this model moves."""
+    """Whether each leaf of an exposure and its pixel is one that errors may move: the small ones, so that models share
+    a program, and those that this model moves."""
     found: Any = None
 
     def moved(inputs: ModelInputs) -> Any:

@@ -17,7 +17,7 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxgeo import WGS84, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo import WGS84, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.earth import Geodetic, R_ecef_from_enu
 from jaxgeo.io import (
     TableError,
@@ -28,7 +28,8 @@ from jaxgeo.io import (
     undulation,
     write_orientations,
 )
-from jaxgeo.io.acquisitions import acquisition_of_opensfm
+from jaxgeo.io.acquisitions import acquisition_of_opensfm, read_acquisition
+from jaxgeo.io.given_camera import given_camera
 from jaxgeo.io.orientations import Orientations
 from jaxgeo.sensor import Fisheye
 
@@ -103,6 +104,41 @@ def test_cameras_project_as_opensfm_does(file, camera: dict[str, Any]) -> None:
     for p in ([0.0, 0.0, 2.0], [0.3, -0.2, 1.5], [-0.5, 0.25, 1.0]):
         uv, _ = cameras["one"].project(np.array(p))
         np.testing.assert_allclose(uv, pixel(camera, np.array(p)), atol=1e-9)  # px
+
+
+def test_cameras_of_a_reconstruction_are_those_of_its_file_of_cameras(file) -> None:
+    (whole,) = content()
+    alone = read_opensfm_cameras(file(whole["cameras"]))
+    for form in (whole, [whole], [whole, whole]):
+        cameras = read_opensfm_cameras(file(form))
+        assert list(cameras) == list(alone)
+        for name, camera in cameras.items():
+            np.testing.assert_array_equal(camera.focal_px, alone[name].focal_px)
+    name = next(iter(alone))
+    (other,) = content()
+    other["cameras"] = {name: PERSPECTIVE | {"focal": 0.123}}
+    with pytest.raises(TableError, match=f"its reconstructions differ in camera '{name}'"):
+        read_opensfm_cameras(file([whole, other]))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_file_of_cameras_gives_a_table_its_cameras(file, tmp_path: pathlib.Path, count: int) -> None:
+    """By the names in the table; a file with one camera also where one is meant."""
+    cameras = dict(zip(["one", "two"][:count], [BROWN, RADIAL], strict=False))
+    path, table = file(cameras), tmp_path / "orientations.csv"
+    rows = [f"{name}.jpg,47,11,900,10,20,0,{name}" for name in cameras]
+    table.write_text("\n".join(["image,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg,camera", *rows]) + "\n")
+    found = read_acquisition(table, height_datum="ellipsoid", camera=f"{path}")
+    assert found.sensor is not None
+    of_file = read_opensfm_cameras(path)
+    for row, name in enumerate(cameras):
+        sensor, _, _ = found.exposure(row)
+        np.testing.assert_array_equal(sensor.camera.focal_px, of_file[name].focal_px)
+    if count == 1:
+        assert isinstance(given_camera(f"{path}"), FrameCamera)
+        return
+    with pytest.raises(TableError, match="it has 2 cameras, one, two; here one is meant"):
+        given_camera(f"{path}")
 
 
 def test_a_world_level_at_the_reference(file) -> None:
@@ -203,7 +239,7 @@ def test_poses_in_a_grid_are_those_of_a_table_of_angles(file, tmp_path: pathlib.
         R_camera_from_map = Rotation.from_rotvec(shot["rotation"])
         xyz = -R_camera_from_map.inv().apply(shot["translation"]) + [*origin, 0.0]
         np.testing.assert_allclose([float(cell) for cell in cells[:3]], xyz, atol=1e-4, rtol=0)  # m
-        angles = Rotation.from_euler("XYZ", [float(cell) for cell in cells[3:]], degrees=True)
+        angles = Rotation.from_euler("XYZ", [float(cell) for cell in cells[3:6]], degrees=True)
         np.testing.assert_allclose(
             angles.as_matrix(), R_camera_from_map.inv().as_matrix() @ np.diag([1.0, -1.0, -1.0]), atol=1e-8
         )

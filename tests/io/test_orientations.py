@@ -6,7 +6,9 @@ tables that OpenDroneMap wrote of the block Miaoli; and for other programs see `
 
 from __future__ import annotations
 
+import functools
 import pathlib
+import re
 from typing import Any
 
 import jax
@@ -17,7 +19,16 @@ from scipy.spatial.transform import Rotation
 
 from jaxgeo import WGS84, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.earth import Geodetic, R_ecef_from_ned
-from jaxgeo.io import Orientations, TableError, VerticalDatumError, read_orientations, undulation, write_orientations
+from jaxgeo.io import (
+    Orientations,
+    TableError,
+    VerticalDatumError,
+    read_acquisition,
+    read_orientations,
+    undulation,
+    write_orientations,
+)
+from jaxgeo.io.acquisitions._position_tables import read_positions
 from jaxgeo.sensor import Deflection
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
 
@@ -157,6 +168,36 @@ def test_what_is_written_reads_back(table, tmp_path: pathlib.Path, crs: str | No
     np.testing.assert_allclose(attitudes(back.pose), attitudes(block.pose), atol=3e-10)  # 1e-8 deg and a little
 
 
+@pytest.mark.parametrize("datum", ["ellipsoid", "EPSG:5773", -31.5])
+def test_a_table_states_the_datum_of_its_heights(table, tmp_path: pathlib.Path, datum: str | float) -> None:
+    """Then it need not be given; another one is refused, of orientations as of positions."""
+    pose = read_orientations(table(EARTH), height_datum="ellipsoid").pose
+    path = tmp_path / "out.csv"
+    write_orientations(path, Orientations(np.array(["a", "b"]), pose), height_datum=datum)
+    back = read_acquisition(path)
+    np.testing.assert_allclose(back.shots.pose.position.height, pose.position.height, atol=1e-4, rtol=0)
+    assert back.assumed[0].endswith(", by the table.")
+    position = read_positions(path, height_datum=None, crs=None).position
+    np.testing.assert_array_equal(position.height, back.shots.pose.position.height)
+    for read in (read_acquisition, read_orientations, functools.partial(read_positions, crs=None)):
+        with pytest.raises(TableError, match=r"its column height_datum says that .*, but height_datum=12\.5; leave"):
+            read(path, height_datum=12.5)
+
+
+@pytest.mark.parametrize(
+    "cells, message",
+    [
+        (("ellipsoid", "EPSG:5773"), "states both EPSG:5773 and ellipsoid"),
+        (("/vsicurl/http://a.b/egm96.tif",) * 2, "states '/vsicurl/http://a.b/egm96.tif', not ellipsoid, EPSG:CODE"),
+    ],
+)
+def test_a_datum_that_a_table_cannot_state_is_refused(table, cells: tuple[str, str], message: str) -> None:
+    head, *rows = EARTH.strip().splitlines()
+    lines = [f"{head},height_datum", *(f"{row},{cell}" for row, cell in zip(rows, cells, strict=True))]
+    with pytest.raises(TableError, match=re.escape(message)):
+        read_orientations(table("\n".join(lines)), height_datum=None)
+
+
 def test_an_attitude_against_the_plumb_line_is_written_about_the_normal(table, tmp_path: pathlib.Path) -> None:
     pose = read_orientations(table(EARTH), height_datum="ellipsoid").pose
     bent = Pose(pose.position, pose.heading, pose.pitch, pose.roll, Deflection(np.full(2, 5e-5), np.full(2, -3e-5)))
@@ -252,8 +293,8 @@ def test_what_the_caller_gives_wrong(table, tmp_path: pathlib.Path) -> None:
             read_orientations(path, height_datum="EPSG:0", **options)
     with pytest.raises(VerticalDatumError, match="the caller says"):
         read_orientations(table(LAMBERT), height_datum="EPSG:5773", crs="EPSG:2154+5720")
-    with pytest.raises(TypeError, match="height_datum"):
-        read_orientations(table(EARTH))  # pyright: ignore[reportCallIssue]
+    with pytest.raises(VerticalDatumError, match=r"does not state the vertical datum of its heights.*height_datum="):
+        read_orientations(table(EARTH))
     block = read_orientations(table(EARTH), height_datum="ellipsoid")
     with pytest.raises(ValueError, match="image a is there 2 times"):
         Orientations(np.array(["a", "a"]), block.pose)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pathlib
 import re
+import shlex
 import shutil
 
 import jax
@@ -294,6 +295,21 @@ def test_the_models_have_the_orientations_of_the_table(done) -> None:
     centre_there, R_there = sights_of(there)
     assert np.allclose(centre_there, centre, atol=3e-4)
     assert np.allclose(R_there, R, atol=1e-8)
+
+
+def test_pixels_are_located_with_the_accuracies_of_the_adjustment(here: ImageFolder, done) -> None:
+    """By the command as it is printed: radii are what the standard deviations in the table make of lines of sight."""
+    out, content = done
+    command = shlex.split(content["locate"])
+    assert command[:2] == ["jaxgeo", "locate"]
+    result = CliRunner().invoke(app, [*command[1:], "--dem", f"{here.dem}", *DATUM, "--dem-sigma", "0.1", "--json"])
+    assert result.exit_code == 0, result.output
+    rows, sigma = json.loads(result.stdout)["fixes"], read_orientations(out / "orientations.csv").sigma
+    assert sigma is not None
+    for row, of_place, of_angles in zip(rows, sigma[:, :3], sigma[:, 3:], strict=True):
+        across = row["slant_range_m"] * np.sqrt(3.0) * of_angles.max()
+        most = np.hypot(of_place.max(), across) / np.cos(np.deg2rad(row["incidence_surface_deg"]))
+        assert 1.645 * of_place[:2].min() < row["ce90_m"] < 2.146 * most
 
 
 def test_colmap_reads_its_model_and_finds_the_same_residuals(done) -> None:

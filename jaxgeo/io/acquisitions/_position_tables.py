@@ -16,7 +16,7 @@ from jaxgeo.io._columns import Columns, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable
 from jaxgeo.io._json import read_json, shown, value_of
 from jaxgeo.io._map_grid import projection_text
-from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, read_orientation_columns
+from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, datum_of, read_orientation_columns
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions._rtklib import is_solutions, read_solutions, shares
 from jaxgeo.io.acquisitions.blocks import CHOICES
@@ -240,7 +240,7 @@ def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, notes:
     columns.require(["image", across, along], ALIASES)
     names = columns.names("image")
     refuse_doubles(columns.table, names.tolist(), "image {} is there twice")
-    has_heights = up in columns
+    has_heights, height_datum = up in columns, datum_of(columns, height_datum)
     limits = MAP_COLUMNS | POSE_COLUMNS
     numbers = {name: columns.numbers(name, limits[name]) for name in (across, along)}
     if has_heights and height_datum is None and not has_vertical(path, crs):

@@ -14,7 +14,7 @@ import pyproj
 from jaxgeo._checks import check_is
 from jaxgeo.io._json import read_json, shown
 from jaxgeo.io._map_grid import understood_crs
-from jaxgeo.io._orientation_columns import read_orientation_columns
+from jaxgeo.io._orientation_columns import datum_of, read_orientation_columns
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import A_WRONG_GUESS, TableError
 from jaxgeo.io.given_camera import AS_GIVEN, AS_READ
@@ -105,7 +105,7 @@ def acquisition_of_orientations(
     if cameras is not None and not isinstance(cameras, Mapping):
         check_is(cameras, FrameCamera, "cameras", "Or give a table of cameras by name.")
     columns = read_orientation_columns(path)
-    of_map = crs_of(columns, crs)
+    of_map, height_datum = crs_of(columns, crs), datum_of(columns, height_datum)
     if height_datum is None and not has_vertical(path, of_map):
         check_columns(columns, of_map)
         raise UnstatedDatum(
@@ -117,7 +117,8 @@ def acquisition_of_orientations(
         table = table.of(rows_of(path, table.camera, camera))
     elif camera is not None:
         raise TableError(f"{path}: camera={camera!r} is asked for, but there is no column camera.")
-    assumed = [heights_are(height_datum), *table.assumed]
+    stated = "by the table" if "height_datum" in columns else "as given"
+    assumed = [heights_are(height_datum, stated), *table.assumed]
     assumed += [NO_ERRORS] if table.sigma is None else [_INDEPENDENT]
     assumed += [] if cameras is None else [AS_GIVEN]
     assumed += [ELLIPSOID] if of_map is None else []
@@ -142,12 +143,12 @@ _INDEPENDENT = "Errors of one image are independent of another's: the file state
 _READ = ("rotation", "translation", "camera")
 
 
-def heights_are(datum: str | float | None) -> str:
-    """Sentence: the assumed datum of the heights."""
+def heights_are(datum: str | float | None, stated: str = "as given") -> str:
+    """Sentence: the datum of the heights, and where it is stated."""
     if datum is None:
         return "Heights are above what the file's map says."
     surface = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
-    return f"Heights are above {'the WGS 84 ellipsoid' if datum == 'ellipsoid' else surface}, as given."
+    return f"Heights are above {'the WGS 84 ellipsoid' if datum == 'ellipsoid' else surface}, {stated}."
 
 
 def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:

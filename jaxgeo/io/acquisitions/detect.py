@@ -45,7 +45,7 @@ from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
 from jaxgeo.io.errors import TableError
-from jaxgeo.io.given_camera import is_a_name, whole_camera
+from jaxgeo.io.given_camera import cameras_by_name, is_a_name, whole_camera
 from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes read for detection
@@ -129,7 +129,8 @@ def checked_options(path: str | os.PathLike[str], form: Form, given: Mapping[str
             raise WrongOption(os.fspath(path), form.name, name, form.takes)
     if "cameras" in form.takes and not is_a_name(given.get("camera", "")):
         others = {name: value for name, value in given.items() if name != "camera"}
-        return others | {"cameras": whole_camera(given["camera"])}
+        by_name = form is ORIENTATIONS
+        return others | {"cameras": (cameras_by_name if by_name else whole_camera)(given["camera"])}
     return given
 
 
