@@ -13,6 +13,9 @@ from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.model import ErrorModel
 
 
+MUCH = 3.0  # times the stated sigmas: if even the lower limit of a factor is above it, something else may be wrong
+
+
 @dataclasses.dataclass(frozen=True)
 class Component:
     """One source, or axis of it: `scale` times its `stated` sigmas (axes,) in `unit`, from `least` to `most`.
@@ -39,6 +42,11 @@ class Component:
     def freedom(self) -> float:
         """Degrees of freedom that the errors give the scale, 1 / (2 standard_error^2)."""
         return 0.5 / self.standard_error**2
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the errors are so much larger than stated that another cause is likelier than a wrong sigma."""
+        return self.held is None and self.least > MUCH
 
     @property
     def words(self) -> str:
@@ -108,6 +116,13 @@ class Calibration:
         lines = [f"Sigmas from {self.pixels} pixels ({self.contrasts} independent errors), with {percent} intervals:"]
         lines += [f"  {one.words}" for one in self.components]
         lines += [_apart(group) for group in self.not_separable]
+        doubtful = [one.label for one in self.components if one.is_doubtful]
+        if doubtful:
+            lines.append(
+                f"Doubtful: {' and '.join(doubtful)}, more than {MUCH:g} times as large as stated. Sigmas are seldom so "
+                "wrong. Look first for a wrong datum of the heights, a wrong unit, wrong points, and for errors that "
+                "neighbouring points share, such as those of an elevation model: their correlation has to be stated."
+            )
         if self.fixed_effects:
             effects = "; ".join(one.words for one in self.fixed_effects)
             lines.append(f"Removed before, as effects common to all: {effects}.")
@@ -135,6 +150,7 @@ class Calibration:
                 "most": one.most if math.isfinite(one.most) else None,
                 "standard_error": None if math.isnan(one.standard_error) else one.standard_error,
                 "held": one.held,
+                "doubtful": one.is_doubtful,
             }
             for one in self.components
         ]

@@ -157,6 +157,16 @@ def test_a_calibrated_model_has_the_calibrated_sigmas(points, found) -> None:
     assert one.to_dict()["components"][1]["unit"] == "m"
 
 
+@pytest.mark.parametrize("times", [1.0, 30.0])
+def test_errors_far_larger_than_stated_are_doubtful(found, times: float) -> None:
+    """Not those that are twice as large."""
+    one = calibrated(with_errors(found, times * drawn(found, 1, 5)[0]))
+    large = [c.label for c in one.components if c.least > 3.0]
+    assert bool(large) == (times > 1.0)
+    assert [c["label"] for c in one.to_dict()["components"] if c["doubtful"]] == large
+    assert ("Doubtful: " + " and ".join(large) in one.words) if large else ("Doubtful" not in one.words)
+
+
 def test_axes_apart(found) -> None:
     one = calibrated(with_errors(found, drawn(found, 1, 5)[0]), each_axis=True)
     assert [c.label for c in one.components[:3]] == ["attitude heading", "attitude pitch", "attitude roll"]
