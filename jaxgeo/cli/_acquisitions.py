@@ -60,8 +60,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--camera",
             metavar="CAMERA",
-            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), Pix4D's .cam, OpenSfM's .json, or "
-            "the NAME of a camera in the file (drone images: in the camera table).",
+            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), Pix4D's .cam, "
+            "OpenSfM's .json, or the NAME of a camera in the file (drone images: in the camera table).",
         ),
     ] = None
     gimbal: Annotated[

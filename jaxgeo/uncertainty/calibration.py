@@ -12,7 +12,6 @@ import scipy  # submodules load lazily, when first used
 from jaxgeo.uncertainty._figures import figure
 from jaxgeo.uncertainty.model import ErrorModel
 
-
 MUCH = 3.0  # times the stated sigmas: if even the lower limit of a factor is above it, something else may be wrong
 
 
@@ -119,8 +118,8 @@ class Calibration:
         doubtful = [one.label for one in self.components if one.is_doubtful]
         if doubtful:
             lines.append(
-                f"Doubtful: {' and '.join(doubtful)}, more than {MUCH:g} times as large as stated. Sigmas are seldom so "
-                "wrong. Look first for a wrong datum of the heights, a wrong unit, wrong points, and for errors that "
+                f"Doubtful: {' and '.join(doubtful)}, more than {MUCH:g} times as large as stated. Sigmas are seldom "
+                "so wrong. Look first for a wrong datum of the heights, a wrong unit, wrong points, and for errors that "
                 "neighbouring points share, such as those of an elevation model: their correlation has to be stated."
             )
         if self.fixed_effects:
