@@ -118,9 +118,10 @@ class Calibration:
         doubtful = [one.label for one in self.components if one.is_doubtful]
         if doubtful:
             lines.append(
-                f"Doubtful: {' and '.join(doubtful)}, more than {MUCH:g} times as large as stated. Sigmas are seldom "
-                "so wrong. Look first for a wrong datum of the heights, a wrong unit, wrong points, and for errors that "
-                "neighbouring points share, such as those of an elevation model: their correlation has to be stated."
+                f"Doubtful: {' and '.join(doubtful)}, more than {MUCH:g} times as large as stated. Sigmas are "
+                "seldom so wrong. Look first for a wrong datum of the heights, a wrong unit, wrong points, and for "
+                "errors that neighbouring points share, such as those of an elevation model: their correlation has to "
+                "be stated."
             )
         if self.fixed_effects:
             effects = "; ".join(one.words for one in self.fixed_effects)
