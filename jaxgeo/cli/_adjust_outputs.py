@@ -36,6 +36,7 @@ CONTROL = "control.csv"
 PAGE = "report.html"
 FILES = *TABLES, CONTROL, PAGE, OPENSFM, *COLMAP
 SHOWN = 30  # images in the table on the screen
+SHOWN_BARE = 5  # pairs without ties there
 
 
 def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> list[str]:
@@ -178,6 +179,12 @@ def print_summary(content: dict[str, Any], found: Correction | None) -> None:
         f"{content['images']} images, {len(content['pairs'])} pairs, {tied} of them with ties; "
         f"{content['tie_points']} tie points"
     )
+    bare = [pair for pair in content["pairs"] if not pair["points"].get("tied", 0)]
+    for pair in bare[:SHOWN_BARE]:
+        why = ", ".join(f"{count} {outcome.replace('_', ' ')}" for outcome, count in pair["points"].items() if count)
+        say(f"without ties: {pair['first']} and {pair['second']} ({why or 'no points'})")
+    if len(bare) > SHOWN_BARE:
+        say(f"and {len(bare) - SHOWN_BARE} more pairs without ties")
     if found is None:
         say("Nothing is adjusted: no two images share enough tie points. Check navigation, datums and --dem-sigma.")
         return

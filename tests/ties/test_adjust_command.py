@@ -405,6 +405,11 @@ def test_a_second_run_reads_the_matches_of_the_first(here, done) -> None:
     result = run(*here.arguments, *OPTIONS, "-o", out)
     assert result.exit_code == 0, result.output
     assert f"{len(kept) - 2} of {len(kept)} pairs were read from" in result.stderr
+    bare = [pair for pair in content["pairs"] if "tied" not in pair["points"]]
+    assert bare  # those of the image that shows noise
+    for pair in bare:
+        assert f"without ties: {pair['first']} and {pair['second']} (" in result.stdout
+    assert content["locate"] in result.stdout
     assert (out / "orientations.csv").read_bytes() == before
 
 
