@@ -85,7 +85,7 @@ def test_every_command_reads_a_dem_as_asked_and_keeps_urls(
     assert asked == {
         "paths": [URL], "vertical_datum": None, "nodata": [-9999.0, 0.0], "height_unit": "ft", "band": 2,
         "bounds": (-85.0, 36.0, -84.0, 37.0), "assume_wgs84": True, "allow_remote": True,
-        "allow_outside": True,
+        "allow_outside": True, "padded": not name.startswith("study"),
     }  # fmt: skip
 
 

@@ -42,8 +42,11 @@ def bounds_in(options: DemOptions) -> tuple[float, float, float, float] | None:
     return west, south, east, north
 
 
-def read_terrain(dem: list[str], options: DemOptions, look: Look | None = None) -> Dem:
-    """Elevation model from one file or several tiles, or of an archive for the lines of sight of `look`."""
+def read_terrain(dem: list[str], options: DemOptions, look: Look | None = None, *, padded: bool = True) -> Dem:
+    """Elevation model from one file or several tiles, or of an archive for the lines of sight of `look`.
+
+    By default padded to one of a few sizes, so that programs kept from one file serve another.
+    """
     from jaxgeo.io import read_dem
 
     if is_archive(dem):
@@ -53,7 +56,7 @@ def read_terrain(dem: list[str], options: DemOptions, look: Look | None = None) 
     check_needs_archive(options)
     edges = bounds_in(options)
     with working("reading the elevation model"), translate_dem_errors():
-        return read_dem(list(dem), bounds=edges, **_reading_of(options))
+        return read_dem(list(dem), bounds=edges, padded=padded, **_reading_of(options))
 
 
 def open_terrain(dem: list[str], options: DemOptions, look: Look | None = None) -> DemFiles:

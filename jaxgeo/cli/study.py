@@ -188,7 +188,7 @@ def gu2017_command(
 
         given = None
         if image is not None and reference is not None and scene is not None:
-            terrain = read_terrain(dem or [], reading)
+            terrain = read_terrain(dem or [], reading, padded=False)  # sheets have its own posts
             with translate_reach_errors():
                 given = gu2017.read(image, reference, scene, terrain, sigmas, reading.reach)
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)

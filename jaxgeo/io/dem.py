@@ -22,6 +22,7 @@ from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
 BESIDE_HEIGHTS = 5  # bytes per post for the void mask and height bounds; measured, see the tests
+MOST_PADDED = 1 << 22  # posts of a file whose arrays are padded if asked: at most 80 MB more
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +72,7 @@ def read_dem(
     assume_wgs84: bool = False,
     allow_remote: bool = False,
     allow_outside: bool = False,
+    padded: bool = False,
 ) -> Dem:
     """A DEM on its file's own grid, with heights above the WGS 84 ellipsoid.
 
@@ -84,7 +86,9 @@ def read_dem(
     - `vertical_datum`: the datum of the file's heights: "ellipsoid", an EPSG code (5773 or "EPSG:5773") or a
       pyproj CRS, a constant undulation in m, or the path of a geoid grid. Required unless the file's CRS states it.
     - `bounds`: (west, south, east, north) in deg of WGS 84; west > east crosses the date line. The window is padded by
-      a post, and its arrays to one of a few sizes, so that another window does not recompile.
+      a post, and its arrays as by `padded`.
+    - `padded=True`: arrays padded at their end to one of a few sizes, so that another file does not recompile; `extent`
+      has the true size. Files of more than 4 million posts keep theirs.
     - `band`: counted from 1. `nodata`: a further void value, or a list of several, where the file's own tag is missing
       or wrong: as stored, before scale, offset and unit. A value that marks no post of the whole file is refused.
     - `height_unit`: "m", "ft", "us-ft", "dm" or "cm", where the file's own is missing or wrong.
@@ -117,6 +121,7 @@ def read_dem(
         assume_wgs84=assume_wgs84,
         allow_remote=allow_remote,
         allow_outside=allow_outside,
+        padded=padded,
     )[0]
 
 
@@ -133,6 +138,7 @@ def read_dem_and_report(
     assume_wgs84: bool = False,
     allow_remote: bool = False,
     allow_outside: bool = False,
+    padded: bool = False,
 ) -> tuple[Dem, DemReport]:
     """`read_dem`, and a report of the file and its processing."""
     require_x64()
@@ -176,7 +182,8 @@ def read_dem_and_report(
         horizontal=source.mapping.horizontal,
         vertical=source.shift.name,
     )
-    size = heights.shape if bounds is None else padded_shape(heights.shape)
+    is_padded = bounds is not None or (padded and heights.size <= MOST_PADDED)
+    size = padded_shape(heights.shape) if is_padded else heights.shape
     return build_dem(name, heights, void, grid, void_ceiling, size), report
 
 

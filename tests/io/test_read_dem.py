@@ -233,6 +233,27 @@ def test_windows_share_their_shape_and_hold_little_more_than_asked(tmp_path: pat
     assert int(extent_of(a)[0]) <= 0.03 / DEGREE + 5
 
 
+def test_padded_files_of_about_one_size_share_their_programs_and_keep_their_ground(tmp_path: pathlib.Path) -> None:
+    """Posts, edges and voids are those of the file; what lies beyond is no ground."""
+    found = []
+    for shape in ((40, 50), (61, 33)):
+        heights = hills(shape)
+        heights[10:12, 20:25] = np.nan
+        path = write(tmp_path / f"{shape[0]}.tif", heights)
+        whole, padded = (read_dem(path, vertical_datum=0, padded=one) for one in (False, True))
+        assert tuple(extent_of(padded)) == shape == posts_of(whole).shape
+        np.testing.assert_array_equal(posts_of(padded)[: shape[0], : shape[1]], posts_of(whole))
+        row = np.array([0.0, 5.5, 10.5, shape[0] - 1.0, shape[0] - 0.5])
+        there = places(np.full(5, 5.0 + DEGREE * 23.0), 45.0 - DEGREE * (row + 0.5))
+        np.testing.assert_array_equal(heights_at(padded, there), heights_at(whole, there))
+        assert np.isnan(heights_at(padded, there)).tolist() == [False, False, True, False, True]
+        for name in ("lowest", "highest", "void_ceiling", "has_void"):
+            np.testing.assert_array_equal(getattr(padded, name), getattr(whole, name))
+        found.append(padded)
+    forms = [jax.tree.map(lambda x: (np.shape(x), np.asarray(x).dtype), one) for one in found]
+    assert forms[0] == forms[1]
+
+
 def test_bounds_cross_the_date_line(tmp_path: pathlib.Path) -> None:
     path = write(tmp_path / "dem.tif", hills((60, 80)), affine=Affine(1e-3, 0, 179.96, 0, -1e-3, -16.0))
     whole = read_dem(path, vertical_datum=0)
