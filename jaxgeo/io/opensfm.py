@@ -146,7 +146,7 @@ def read_opensfm_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]
     `TableError` for cameras of several reconstructions of the same name that differ.
     """
     require_x64()
-    content = read_json(path, "camera file")
+    content = read_json(path, "camera")
     parts = content if isinstance(content, list) else [content]
     cameras: dict[str, Any] = {}
     for part in parts or [parts]:
