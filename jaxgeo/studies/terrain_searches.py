@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import _quick, batch_filter_jit, batch_options
 from jaxgeo._numerics import tree_where
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status
@@ -127,7 +127,7 @@ def run_from(begun: Approach, dem: Dem, search: AbstractStudiedSearch) -> Run:
     return jax.vmap(search.run_from, in_axes=(0, None))(begun, dem)
 
 
-_run_many = jax.jit(run_from, compiler_options=OPTIMISED)
+_run_many = _quick(run_from, jax.jit, lambda: batch_options() | OPTIMISED)
 
 
 @batch_filter_jit

@@ -56,6 +56,7 @@ class Descent(Record):
         up, height = WGS84.normal_and_height(ray.at(anchor))
         return cls(ray, dem, anchor, height, jnp.dot(up, ray.heading_at(anchor)))
 
+    @jax.jit  # once in a program, not at each of its calls: most of the time to trace and lower a search
     def range_at(self, height: Scalar) -> Scalar:
         """Range in m at which the sinking ray is at `height`; if it never gets that low, near its lowest point."""
         bend = (1.0 - self.slope**2) / EARTH_RADIUS
@@ -78,6 +79,7 @@ class Descent(Record):
         """The ground under the ray's point at a range, paired with a height other than the ray's: one evaluation."""
         return self._look_from(distance, height)
 
+    @jax.jit
     def _look_from(self, distance: Scalar, height: Scalar) -> DemSample:
         rowcol, _ = self.dem.over(self.ray.at(distance))
         last = (jnp.asarray(self.dem.extent) - 1).astype(jnp.float64)
