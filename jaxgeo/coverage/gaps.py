@@ -142,14 +142,12 @@ def linear_gaps(strip: Strip, noise: FlightNoise, *, compensation: Compensation 
     all are positive is Genz's (1992) integral on a lattice. `linear_is_valid` checks whether linearisation is valid on
     the terrain. Raises `ValueError` where the planned flight sees no ground.
     """
-    check_is(strip, Strip, "strip")
-    check_is(noise, FlightNoise, "noise")
-    margins, cov, free, of_pair, slopes, status = _linear(strip, noise, compensation)
-    code = np.asarray(status)
-    if np.any(code != Status.hit):
-        wrong = int(np.argmax(code != Status.hit))
-        raise ValueError(f"images {wrong} and {wrong + 1} of the planned flight: {Status(int(code[wrong])).message}")
-    return LinearGaps(margins, cov, free, of_pair, slopes, noise)
+    margins, cov = _ends_of(strip, noise, compensation)
+    free, slopes = _free_with_slopes(margins, cov)
+    pairs = strip.images - 1
+    spread = np.sqrt(np.diagonal(np.sum(cov, axis=0)))[:pairs]
+    of_pair = scipy.special.ndtr(-np.asarray(margins)[:pairs] / np.where(spread > 0.0, spread, 1e-12))
+    return LinearGaps(margins, cov, free, jnp.asarray(of_pair), slopes, noise)
 
 
 def linear_is_valid(
@@ -204,7 +202,7 @@ def required_overlap(
         """Positive where the overlap is sufficient; continuous, unlike a share of flights."""
         there = strip.with_overlap(overlap)
         if key is None:
-            return float(linear_gaps(there, noise, compensation=compensation).free) - free
+            return float(_free(*_ends_of(there, noise, compensation))) - free
         sampled = fly(there, noise, key=key, flights=flights, compensation=compensation)
         worst = np.where(np.isnan(sampled.least), -np.inf, sampled.least).min(axis=1)
         return float(np.clip(np.quantile(worst, 1.0 - free, method="lower"), -1e3, None))
@@ -232,6 +230,18 @@ def _flown(strip: Strip, noise: FlightNoise, key: Any, numbers: Any, compensatio
     return jax.vmap(one)(numbers)
 
 
+def _ends_of(strip: Strip, noise: FlightNoise, compensation: Compensation) -> tuple[Any, Any]:
+    """(margins, covariance by standard deviation) as of `LinearGaps`; raises `ValueError` where there is no ground."""
+    check_is(strip, Strip, "strip")
+    check_is(noise, FlightNoise, "noise")
+    margins, cov, status = _linear(strip, noise, compensation)
+    code = np.asarray(status)
+    if np.any(code != Status.hit):
+        wrong = int(np.argmax(code != Status.hit))
+        raise ValueError(f"images {wrong} and {wrong + 1} of the planned flight: {Status(int(code[wrong])).message}")
+    return margins, cov
+
+
 @quick_filter_jit
 def _linear(strip: Strip, noise: FlightNoise, compensation: Compensation) -> Any:
     def ends(normals: Float[Array, " normals"]) -> Any:
@@ -242,16 +252,22 @@ def _linear(strip: Strip, noise: FlightNoise, compensation: Compensation) -> Any
     J, (margins, status) = jax.jacfwd(ends, has_aux=True)(jnp.zeros(normals_of(strip)))
     spec = np.asarray(specs_of(strip))
     parts = [J[:, spec == k] for k in range(len(SPECS))]
-    cov = jnp.stack([part @ part.T for part in parts])
+    return margins, jnp.stack([part @ part.T for part in parts]), status
+
+
+@quick_filter_jit
+def _free_with_slopes(margins: Float[Array, " ends"], cov: Float[Array, "specs ends ends"]) -> tuple[Any, Any]:
+    """(probability of a strip without a gap, its derivatives by the logarithm of each standard deviation)."""
 
     def free(scales: Float[Array, " specs"]) -> Scalar:
         return orthant(margins, jnp.tensordot(scales**2, cov, 1))
 
-    probability, slopes = jax.value_and_grad(free)(jnp.ones(len(SPECS)))
-    near = margins[: strip.images - 1]
-    spread = jnp.sqrt(jnp.diagonal(cov.sum(axis=0))[: strip.images - 1])
-    of_pair = ndtr(-near / jnp.where(spread > 0.0, spread, 1e-12))
-    return margins, cov, probability, of_pair, slopes, status
+    return jax.value_and_grad(free)(jnp.ones(len(SPECS)))
+
+
+@quick_filter_jit
+def _free(margins: Float[Array, " ends"], cov: Float[Array, "specs ends ends"]) -> Scalar:
+    return orthant(margins, cov.sum(axis=0))
 
 
 def orthant(mean: Float[Array, " n"], cov: Float[Array, "n n"], points: int = LATTICE) -> Scalar:
