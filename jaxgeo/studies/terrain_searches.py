@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxgeo._compile import _quick, batch_filter_jit, batch_options
+from jaxgeo._compile import batch_filter_jit, batch_options
 from jaxgeo._numerics import tree_where
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status
@@ -127,7 +127,10 @@ def run_from(begun: Approach, dem: Dem, search: AbstractStudiedSearch) -> Run:
     return jax.vmap(search.run_from, in_axes=(0, None))(begun, dem)
 
 
-_run_many = _quick(run_from, jax.jit, lambda: batch_options() | OPTIMISED)
+@functools.cache
+def _run_many() -> Callable[[Approach, Dem, AbstractStudiedSearch], Run]:
+    """`run_from` as a program to be timed: called without the search for kept programs, which takes milliseconds."""
+    return jax.jit(run_from, compiler_options=batch_options() | OPTIMISED)
 
 
 @batch_filter_jit
@@ -224,7 +227,7 @@ class Over:
     def find(self, search: AbstractSearch, *, repeats: int = 0) -> Found:
         """Run one search; its time is the median of `repeats` further calls, NaN without them."""
         if isinstance(search, AbstractStudiedSearch):
-            go = functools.partial(_run_many, self.begun, self.dem, search)
+            go = functools.partial(_run_many(), self.begun, self.dem, search)
             run = go()
             codes, distance = outcomes(run, self.first), np.asarray(run.distance)
             evaluations, clearance = np.asarray(run.evaluations), np.asarray(run.clearance)
