@@ -50,6 +50,7 @@ def rows(folder: pathlib.Path) -> list[dict[str, Any]]:
     return parquet.ParquetDataset(names).read().sort_by("index").to_pylist()
 
 
+@pytest.mark.oldest
 @pytest.mark.costly
 def test_the_dataset_has_the_rows_of_one_file(tmp_path: pathlib.Path, flight: pathlib.Path, by_threads) -> None:
     many = run("locate", flight, *GROUND, "--no-accuracy", "--cluster", "local:2", "-o", tmp_path / "fixes")

@@ -212,6 +212,7 @@ def fix_of_a_process(folder: pathlib.Path) -> tuple[list[str], list[str]]:
     return numbers, [one for one in NAMES if any(name.startswith(one) for name in traced)]
 
 
+@pytest.mark.oldest
 @pytest.mark.costly
 def test_a_second_process_traces_none_of_the_programs_and_finds_the_same_to_the_bit(tmp_path: pathlib.Path) -> None:
     first, traced = fix_of_a_process(tmp_path)

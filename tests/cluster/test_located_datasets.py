@@ -44,6 +44,7 @@ def sensor() -> jaxgeo.Sensor:
     return survey(1, (SIDE, SIDE)).batches[0].sensor
 
 
+@pytest.mark.oldest
 @pytest.mark.costly
 def test_it_is_located_by_chunks_when_it_is_computed(frames: Any, sensor: jaxgeo.Sensor) -> None:
     at_once = locate_dataset(frames, sensor, GROUND)

@@ -132,6 +132,7 @@ def test_through_the_air_and_behind_terrain_a_call_alone_is_its_lane():
 ALONG_AN_AXIS = {name: pytest.mark.slow if "pan and tilt" in name else () for name in SINGULAR}
 
 
+@pytest.mark.oldest
 @pytest.mark.costly
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marks) for name, marks in ALONG_AN_AXIS.items()])
 def test_alone_too_an_axis_along_the_line_of_sight_stays_where_it_is(name):
