@@ -18,7 +18,8 @@ from tests.test_records import without_jax
 
 pytestmark = pytest.mark.costly
 
-COUNT, LONGEST, SEEDS = 12, 5, 10
+COUNT, LONGEST, SEEDS = 9, 5, 10  # problems of the shape of those of `test_map_control`
+MORE = 12  # images of a longer strip
 
 
 def points_of(of: Drawn, row: int):
@@ -58,7 +59,7 @@ def are_alike(one: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
     return bool(np.max(np.abs(one - other) / np.outer(scale, scale)) < tolerance)
 
 
-@pytest.mark.parametrize("rows", [(), (2, 8)], ids=["without a map", "registered now and then"])
+@pytest.mark.parametrize("rows", [(), (2, 7)], ids=["without a map", "registered now and then"])
 def test_one_after_another_is_all_at_once(rows: tuple[int, ...]) -> None:
     """Where no point is measured over more images than the window holds."""
     of = drawn(0, COUNT, LONGEST)
@@ -84,7 +85,7 @@ def test_errors_are_as_predicted(window: int) -> None:
     images of the last window together, and of each image as it leaves."""
     of_window, of_left = 0.0, []
     for seed in range(SEEDS):
-        of = drawn(seed, COUNT, LONGEST)
+        of = drawn(seed, MORE, LONGEST)
         filtered, left = run(of, window, {row: registered(of, row) for row in (2, 8)})
         assert not any(one.refused for one in [*left, *filtered.estimates])
         errors = np.concatenate([error_of(of, one) for one in filtered.estimates])
@@ -120,7 +121,7 @@ def test_a_registration_carries_on_and_fades() -> None:
 
 
 def test_memory_is_bounded() -> None:
-    of = drawn(0, 3 * COUNT, LONGEST)
+    of = drawn(0, 3 * MORE, LONGEST)
     filtered, sizes = RecursiveCorrection(4), []
     for row, name in enumerate(of.given.name):
         filtered.add(str(name), of.given.exposure[row], ERRORS, points_of(of, row))
