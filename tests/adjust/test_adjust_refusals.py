@@ -309,7 +309,7 @@ def test_control_of_two_points_leaves_a_turn(words: Any) -> None:
     assert "turn about" in said
 
 
-@pytest.mark.costly
+@pytest.mark.slow
 def test_positions_without_heights_and_a_free_focal_length(words: Any) -> None:
     of = simulated()
     said = words(of.block(control=None, sigma_position=[0.05, 0.05, np.inf]), tight(focal=Free()))
