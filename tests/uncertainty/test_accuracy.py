@@ -136,35 +136,32 @@ def test_without_samples_it_is_a_function_for_jit_vmap_and_derivatives(many: Acc
     assert str(none[0, 0]).startswith("No fix")
 
 
-def figures(pixels):
-    """Circular error of pixels, and (covariances, fixes) beside it."""
-    sensor, shot, _, terrain, errors = SCENE
-    found = accuracy(sensor, shot, pixels, terrain, errors, sampling=None)
-    return found.circular, (found.cov_enu, found.fix)
-
-
 @pytest.mark.costly
-def test_without_samples_it_is_a_function_of_pixels_for_jit_and_vmap(many: Accuracy) -> None:
-    """Of many pixels, one of them outside the image, mapped by rows."""
-    values, (cov_enu, fix) = jax.jit(jax.vmap(figures))(PIXELS)
-    np.testing.assert_allclose(values, many.circular, rtol=1e-9)
-    seen = np.asarray(many.has_fix)
-    np.testing.assert_array_equal(np.asarray(fix.status) == jaxgeo.Status.outside_image, ~seen)
-    for figure in (values, cov_enu, fix.ecef, fix.position.lat):
-        assert np.all(np.isnan(np.asarray(figure)[~seen]))
-        assert np.all(np.isfinite(np.asarray(figure)[seen]))
-
-
-@pytest.mark.slow
-def test_without_samples_derivatives_by_pixels_are_differences(many: Accuracy) -> None:
+def test_without_samples_it_is_a_function_of_pixels_for_jit_vmap_and_derivatives(many: Accuracy) -> None:
+    """Of many pixels, one of them outside the image, and, by its shape alone, of one that is mapped."""
+    sensor, shot, _, terrain, errors = SCENE
     along = np.zeros_like(PIXELS)  # px
     along[..., 0] = 1.0
-    derived = jax.jit(lambda pixels: jax.jvp(lambda at: figures(at)[0], (pixels,), (along,)))
-    values, slopes = derived(PIXELS)
+
+    def radii(pixels):
+        found = accuracy(sensor, shot, pixels, terrain, errors, sampling=None)
+        return found.circular, (found.cov_enu, found.fix)
+
+    @jax.jit
+    def derived(pixels):
+        (values, more), (slopes, _) = jax.jvp(radii, (pixels,), (along,))
+        return values, slopes, more
+
+    values, slopes, (cov_enu, fix) = derived(PIXELS)
     np.testing.assert_allclose(values, many.circular, rtol=1e-9)
     ahead, behind = (np.asarray(derived(PIXELS + way * along)[0]) for way in (1.0, -1.0))
     seen = np.asarray(many.has_fix)
     np.testing.assert_allclose(np.asarray(slopes)[seen], ((ahead - behind) / 2.0)[seen], rtol=1e-3)
+    np.testing.assert_array_equal(np.asarray(fix.status) == jaxgeo.Status.outside_image, ~seen)
+    for figure in (values, cov_enu, fix.ecef, fix.position.lat):
+        assert np.all(np.isnan(np.asarray(figure)[~seen]))
+        assert np.all(np.isfinite(np.asarray(figure)[seen]))
+    assert jax.eval_shape(jax.vmap(lambda uv: radii(uv)[0]), PIXELS[0]).shape == (2,)
 
 
 @pytest.mark.slow
