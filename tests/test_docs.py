@@ -108,14 +108,13 @@ def _run(page: pathlib.Path, blocks: list[Block], monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page: pathlib.Path) -> None:
-    """Pages and pictures that are linked are there; tutorials are made of notebooks."""
+    """Pages, notebooks and pictures that are linked are there, in the checkout too."""
     text = ANY_FENCE.sub("", page.read_text(encoding="utf-8"))
     for target in LINK.findall(text):
         if target.startswith(("http", "#", "mailto")):
             continue
         path = (page.parent / target.partition("#")[0]).resolve()
-        notebook = PROJECT / "notebooks" / f"{path.stem}.ipynb"
-        assert path.exists() or (path.parent == DOCS / "tutorials" and notebook.exists()), (name_of(page), target)
+        assert path.exists(), (name_of(page), target)
 
 
 def rows_of(page: pathlib.Path) -> dict[str, str]:

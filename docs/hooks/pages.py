@@ -38,6 +38,7 @@ ORDER = (
     "new_sensor",
     "many_frames",
 )
+NOTEBOOK_LINK = re.compile(r"\]\(((?:\.\./)+)notebooks/(\w+)\.ipynb\)")  # as a page links to one in the checkout
 LIST = "<!-- tutorials -->"
 PICTURES = {"image/png": "png", "image/jpeg": "jpg"}
 
@@ -64,7 +65,8 @@ def on_files(files: Files, *, config: Any, **_: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """The list of tutorials, where a page asks for it."""
+    """Links to notebooks as links to their pages; the list of tutorials, where a page asks for it."""
+    markdown = NOTEBOOK_LINK.sub(lambda found: f"]({found[1][len('../') :]}tutorials/{found[2]}.md)", markdown)
     if LIST not in markdown:
         return markdown
     rows = []

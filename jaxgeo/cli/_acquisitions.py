@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import typer
 
 import jaxgeo
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import as_datum, numbers_in
 from jaxgeo.cli._option_names import reason_not_read, translate_reader_errors
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     import jaxgeo.io.acquisitions
 
 MOST_REASONS = 10  # unread files whose reasons are printed
+TAKEOFF_ON_DEM = "dem"  # --takeoff-height dem, see `jaxgeo.cli._takeoff`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,12 +40,12 @@ class ReadingOptions(OptionGroup):
         ),
     ] = None
     takeoff_height: Annotated[
-        float | None,
+        str | None,
         typer.Option(
             "--takeoff-height",
             metavar="HEIGHT",
             help="Drone images, logs: height of the take-off point, m above the ellipsoid or --camera-datum, to which "
-            "the heights above it are added.",
+            "the heights above it are added; dem: that of --dem under the first exposure.",
         ),
     ] = None
     crs: Annotated[
@@ -127,8 +129,10 @@ class ReadingOptions(OptionGroup):
     @property
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `read_acquisitions`. Raises `UserError`."""
-        names = ("takeoff_height", "crs", "camera", "errors", "interior", "part", "positions")
+        names = ("crs", "camera", "errors", "interior", "part", "positions")
         how: dict[str, Any] = {name: getattr(self, name) for name in names}
+        if self.takeoff_height is not None:
+            how["takeoff_height"] = _takeoff(self.takeoff_height)
         how |= {"times": self.times or None}
         how |= {"velocities": False if self.no_velocities else None}
         how |= {"upright": self.upright or None, "keep_damaged": self.keep_damaged or None, "stream": self.stream}
@@ -146,6 +150,20 @@ class ReadingOptions(OptionGroup):
                 raise UserError(f"--image-size {self.image_size!r}: expected WIDTH,HEIGHT, two whole numbers.")
             how["image_size"] = int(size[0]), int(size[1])
         return {name: value for name, value in how.items() if value is not None}
+
+    @property
+    def known_arguments(self) -> dict[str, Any]:
+        """`arguments` for a reader. Raises `UserError` for a take-off on an elevation model, which no reader has."""
+        if self.takeoff_height == TAKEOFF_ON_DEM:
+            raise UserError("--takeoff-height dem is for commands with --dem; give the height of the take-off in m.")
+        return self.arguments
+
+
+def _takeoff(text: str) -> float | str:
+    height = number_in(text)
+    if height is None and text != TAKEOFF_ON_DEM:
+        raise UserError(f"--takeoff-height {text!r}: expected a height in m, or {TAKEOFF_ON_DEM}.")
+    return text if height is None else height
 
 
 @contextlib.contextmanager

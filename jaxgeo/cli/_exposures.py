@@ -119,7 +119,7 @@ class ExposureOptions(OptionGroup):
         files = self.files or []
         with reading_files(files) as progress:
             observed = read_observations(
-                files, scene=self.scene, exposures=self.names or (), progress=progress, **reading.arguments
+                files, scene=self.scene, exposures=self.names or (), progress=progress, **reading.known_arguments
             )
         for one in map(as_typed, observed.assumed):
             if not any(word in one for word in OF_ERRORS):

@@ -21,6 +21,7 @@ from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message, print_note
+from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
@@ -104,8 +105,11 @@ def inputs_of(
     on_disk: bool = False,
     whole: bool = False,
 ) -> LocateInputs:
-    """`read_inputs` without messages."""
+    """`read_inputs` without messages, but of a take-off on the elevation model."""
     options.check()
+    ground = options.ground
+    reading = known_takeoff(options.reading, options.files, options.of_images.scene, ground.dem or [], ground)
+    options = dataclasses.replace(options, reading=reading)
     if with_errors is None and options.of_images.shots is None:
         with_errors = not options.is_scene or bool(options.sigmas.given) or None
     observed, vertices = _observations(options)
@@ -155,7 +159,7 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
             exposures=given.exposures or (),
             shard=given.part,
             progress=progress,
-            **options.reading.arguments,
+            **options.reading.known_arguments,
         )
     if detections is None:
         return found, None

@@ -193,7 +193,8 @@ class LocateOptions:
             reading.positions,
         ]
         files: list[str | pathlib.Path] = [one for one in named if one is not None]
-        files += [one for one in (reading.camera,) if one is not None and one.lower().endswith((".toml", ".cam"))]
+        if reading.camera is not None and reading.camera.lower().endswith((".toml", ".cam", ".json")):
+            files.append(reading.camera)
         for folder in [pathlib.Path(one) for one in files if pathlib.Path(one).is_dir()]:
             files += sorted(folder.iterdir())
         return [*files, *(terrain_files(self.ground.dem, self.ground) if self.ground.dem else [])]

@@ -12,7 +12,9 @@ from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
 from jaxgeo.cli._option_names import as_typed, typed
+from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import print_note
+from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.observation import Exposure
 
 if TYPE_CHECKING:
@@ -77,6 +79,11 @@ class OrientedImages:
                     f"--images {self.folder} is for a file of poses; {file} is of images, which state their own."
                 )
 
+    def on(self, dem: list[str], of_dem: DemOptions) -> OrientedImages:
+        """The same, with a take-off on the elevation model as a number. Raises as `known_takeoff`."""
+        reading = known_takeoff(self.reading, self.files, self.scene, dem, of_dem)
+        return dataclasses.replace(self, reading=reading)
+
     def one(self) -> tuple[pathlib.Path, Exposure]:
         """(file, exposure) of the only image. Raises `UserError`, and as the readers."""
         from jaxgeo.io.scene import read_scene
@@ -98,7 +105,7 @@ class OrientedImages:
 
         try:
             with reading_files(self.files) as progress:
-                observed = read_observations(self.files, progress=progress, **self.reading.arguments)
+                observed = read_observations(self.files, progress=progress, **self.reading.known_arguments)
         except UserError as error:  # here a scene is not for a file without a camera
             raise UserError(re.sub(r"--scene SCENE\.toml(, or )?", "", f"{error}")) from error
         for one in map(as_typed, observed.assumed):

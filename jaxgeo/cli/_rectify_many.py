@@ -54,7 +54,7 @@ def rectify_several(
     folder = many.check_folder(output)
     compile_quickly()
     enable_x64()
-    observed, files = given.read()
+    observed, files = given.on(dem, ground).read()
     _check_bands(files, wishes["bands"])
     terrain = open_terrain(dem, ground, lambda: _view(observed))
     began = time.perf_counter()

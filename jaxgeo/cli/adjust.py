@@ -126,7 +126,7 @@ def adjust_command(
         from jaxgeo.ties import KeptMatches as Kept
 
         surveyed = of_control.read()
-        block = _read(given)
+        block = _read(given.on(dem, reading_dem))
         views, paths = block.views, block.paths
         of_mosaic.check_no_input(paths)
         _check_images(block, output, reading_dem)

@@ -234,7 +234,7 @@ def _view(ground: GroundOptions, reading: ReadingOptions) -> View:
 
     files = ground.files or []
     with reading_files(files) as progress:
-        observed = read_observations(files, scene=ground.scene, progress=progress, **reading.arguments)
+        observed = read_observations(files, scene=ground.scene, progress=progress, **reading.known_arguments)
     print_unread(observed.unread.values())
     return view_of(observed, whole=True)
 

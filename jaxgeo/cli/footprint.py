@@ -21,6 +21,7 @@ from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, print_note, track
+from jaxgeo.cli._takeoff import known_takeoff
 
 HIT = "hit"  # the status of a whole footprint
 ENDINGS = (".geojson", ".json", ".gpkg")
@@ -101,6 +102,7 @@ def _footprint(
     enable_x64()
     crs, tolerance, edges, style = drawn
     given, how = of
+    how = known_takeoff(how, given.files or [], given.scene, ground.dem or [], ground)
     found = given.read(how, "a footprint without --shots")
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:

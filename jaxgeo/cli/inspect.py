@@ -68,7 +68,7 @@ def inspect_command(
         if tags and not as_json:
             raise UserError("--tags needs --json.")
         enable_x64()
-        found, unstated = _read(files, reading.arguments)
+        found, unstated = _read(files, reading.known_arguments)
         rows = rows_of(found)
         if output is not None:
             if unstated is not None:

@@ -24,6 +24,7 @@ from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
+from jaxgeo.cli._takeoff import known_takeoff
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
 COLUMNS = {
@@ -89,7 +90,8 @@ def overlap_command(
             if navigation is not None:
                 images = _at_times(given.scene, navigation, moments, how.height_datum)
             else:
-                images = given.read(how, "overlap without --shots")
+                known = known_takeoff(how, given.files or [], given.scene, ground.dem or [], ground)
+                images = given.read(known, "overlap without --shots")
                 _check_several(images, given)
             terrain = terrain_of(ground, lambda: images.exposures[0].shot, images.view)
             rows = _overlaps(images.exposures, terrain, None if along is None else along.value)

@@ -15,6 +15,7 @@ from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, nu
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, stderr, working
+from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.sensor import Shot
 
 UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
@@ -110,6 +111,7 @@ def _point(
 
     compile_quickly()
     enable_x64()
+    how = known_takeoff(how, given.files or [], given.scene, dem, reading)
     found = given.read(how, "pointing").exposures
     if len(found) != 1:
         raise UserError(

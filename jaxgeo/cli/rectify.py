@@ -168,7 +168,7 @@ def _rectify(
     else:
         compile_quickly()
     enable_x64()
-    file, exposure = given.one()
+    file, exposure = given.on(dem, reading).one()
     terrain = read_terrain(dem, reading, lambda: view_of_shots(exposure.sensor, [exposure.motion]))
     began = time.perf_counter()
     with bars_on_stderr() as is_shown, translate_cell_errors(), translate_reach_errors():

@@ -23,6 +23,7 @@ from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_sear
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
 from jaxgeo.cli._screen import print_note, working
+from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.cli.scene import write_scene_of
 
 
@@ -78,7 +79,7 @@ def register_command(
         rasters = [file for one in (image, reference) for file in files_behind(one, reading.reach)]
         own = [one for one in (scene, how.positions) if one is not None]
         check_folder(output, [*rasters, *own, *terrain_files(dem, reading)])
-        with _scene_of(image, scene, how) as path:
+        with _scene_of(image, scene, how, dem, reading) as path:
             files = image, reference, path
             work, errors, pixels = _read(files, dem, reading, sigmas, pixel or [], (band, reference_band))
             output.mkdir(parents=True, exist_ok=True)
@@ -100,7 +101,9 @@ def register_command(
 
 
 @contextlib.contextmanager
-def _scene_of(image: pathlib.Path, scene: pathlib.Path | None, how: ReadingOptions) -> Iterator[pathlib.Path]:
+def _scene_of(
+    image: pathlib.Path, scene: pathlib.Path | None, how: ReadingOptions, dem: list[str], reading: DemOptions
+) -> Iterator[pathlib.Path]:
     """The scene file; of an image that states its own pose one that is written for it. Raises `UserError`."""
     if scene is not None:
         for name in how.arguments:
@@ -109,7 +112,7 @@ def _scene_of(image: pathlib.Path, scene: pathlib.Path | None, how: ReadingOptio
         return
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder) / f"{image.name}.toml"
-        write_scene_of(image, path, None, None, how)
+        write_scene_of(image, path, None, None, known_takeoff(how, [image], None, dem, reading))
         yield path
 
 

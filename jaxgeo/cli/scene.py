@@ -63,7 +63,7 @@ def write_scene_of(
     from jaxgeo.io import read_observations, write_scene
 
     enable_x64()
-    given: dict[str, Any] = {"exposures": () if exposure is None else (exposure,), **reading.arguments}
+    given: dict[str, Any] = {"exposures": () if exposure is None else (exposure,), **reading.known_arguments}
     with reading_files([file]):
         observed = read_observations(file, scene=scene, **given)
     names = [str(row.get("name", file.name)) for row in observed.columns]
