@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pathlib
 import re
 import shlex
@@ -19,7 +20,8 @@ ANGLES = [f"drone-dji:Gimbal{name}Degree" for name in ("Yaw", "Pitch", "Roll")]
 LENSLESS = {name: value for name, value in DJI.items() if "Calibrated" not in name}
 CAMERA_FILE = "[camera]\nwidth = 40\nheight = 30\nfocal_length_mm = 8.8\npixel_pitch_um = 240.0\n"
 LENSES = ["--camera focal=8.8mm,pitch=2.41um", "--camera focal=8.8mm,sensor=13.2mm", "--camera focal=3666px"]
-LENSES += ["--camera camera.toml"]
+OF_OPENSFM = {"projection_type": "perspective", "width": 40, "height": 30, "focal": 8.8 / 0.24 / 40}
+LENSES += ["--camera camera.toml", "--camera cameras.json"]
 DATUMS = ["--camera-datum ellipsoid"]
 # Tags of XMP, options of the file, options typed beside, what is refused, and the ways out that are printed.
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str], str, list[str]]] = {
@@ -92,6 +94,7 @@ def test_every_way_out_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatc
     monkeypatch.chdir(tmp_path)
     write_image(tmp_path / "a.jpg", packet(tags), make="DJI", **options)
     (tmp_path / "camera.toml").write_text(CAMERA_FILE)
+    (tmp_path / "cameras.json").write_text(json.dumps({"one": OF_OPENSFM}))
     given = [word for one in typed for word in shlex.split(one)]
     result = run("a.jpg", *given)
     assert result.exit_code != 0
@@ -101,7 +104,7 @@ def test_every_way_out_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatc
     assert set(ways) <= set(told)
     for way in told:
         name = way.split()[0]
-        if case == "cut" and way == "--camera camera.toml":
+        if case == "cut" and way in ("--camera camera.toml", "--camera cameras.json"):
             continue  # of images of that shape
         others = [word for one in typed if not one.startswith(name) for word in shlex.split(one)]
         value = ["300"] if way == "--takeoff-height" else []

@@ -114,7 +114,6 @@ def test_every_flag_says_what_it_is_for(name: str) -> None:
 LINES = [
     "inspect DJI_0042.JPG --camera-datum ellipsoid --json --tags --debug",
     "inspect DJI_0042.JPG --takeoff-height 800 -o exposures.csv",
-    "footprint DJI_0042.JPG --takeoff-height dem --dem dem.tif",
     "inspect DJI_0042.JPG --camera-datum ellipsoid --camera focal=8.8mm,pitch=2.41um --gimbal 30,-90,0 --json",
     "inspect flight.klv --image-size 640,480 --upright --keep-damaged --json",
     "inspect opk.csv --source-crs EPSG:32616 --camera-datum EPSG:5773 --json",

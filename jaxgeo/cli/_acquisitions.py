@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import jaxgeo.io.acquisitions
 
 MOST_REASONS = 10  # unread files whose reasons are printed
-TAKEOFF_ON_DEM = "dem"  # --takeoff-height dem, see `jaxgeo.cli._takeoff`
+TAKEOFF_ON_DEM = "dem"  # --takeoff-height dem, see `jaxgeo.cli._known_heights`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

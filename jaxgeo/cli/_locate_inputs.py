@@ -18,10 +18,10 @@ from jaxgeo.cli._acquisitions import print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message, print_note
-from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
@@ -108,7 +108,7 @@ def inputs_of(
     """`read_inputs` without messages, but of a take-off on the elevation model."""
     options.check()
     ground = options.ground
-    reading = known_takeoff(options.reading, options.files, options.of_images.scene, ground.dem or [], ground)
+    reading = with_known_heights(options.reading, options.files, options.of_images.scene, ground.dem or [], ground)
     options = dataclasses.replace(options, reading=reading)
     if with_errors is None and options.of_images.shots is None:
         with_errors = not options.is_scene or bool(options.sigmas.given) or None

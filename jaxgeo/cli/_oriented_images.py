@@ -11,10 +11,10 @@ import jaxgeo
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._option_names import as_typed, typed
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import print_note
-from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.observation import Exposure
 
 if TYPE_CHECKING:
@@ -80,8 +80,8 @@ class OrientedImages:
                 )
 
     def on(self, dem: list[str], of_dem: DemOptions) -> OrientedImages:
-        """The same, with a take-off on the elevation model as a number. Raises as `known_takeoff`."""
-        reading = known_takeoff(self.reading, self.files, self.scene, dem, of_dem)
+        """The same, with a take-off on the elevation model as a number. Raises as `with_known_heights`."""
+        reading = with_known_heights(self.reading, self.files, self.scene, dem, of_dem)
         return dataclasses.replace(self, reading=reading)
 
     def one(self) -> tuple[pathlib.Path, Exposure]:

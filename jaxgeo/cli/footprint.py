@@ -17,11 +17,11 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, print_note, track
-from jaxgeo.cli._takeoff import known_takeoff
 
 HIT = "hit"  # the status of a whole footprint
 ENDINGS = (".geojson", ".json", ".gpkg")
@@ -102,7 +102,7 @@ def _footprint(
     enable_x64()
     crs, tolerance, edges, style = drawn
     given, how = of
-    how = known_takeoff(how, given.files or [], given.scene, ground.dem or [], ground)
+    how = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
     found = given.read(how, "a footprint without --shots")
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:

@@ -19,12 +19,12 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures, sensors_differ
 from jaxgeo.cli._inputs import check_no_overwrite, trajectory_of
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
-from jaxgeo.cli._takeoff import known_takeoff
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
 COLUMNS = {
@@ -90,7 +90,7 @@ def overlap_command(
             if navigation is not None:
                 images = _at_times(given.scene, navigation, moments, how.height_datum)
             else:
-                known = known_takeoff(how, given.files or [], given.scene, ground.dem or [], ground)
+                known = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
                 images = given.read(known, "overlap without --shots")
                 _check_several(images, given)
             terrain = terrain_of(ground, lambda: images.exposures[0].shot, images.view)

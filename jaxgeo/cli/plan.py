@@ -16,12 +16,12 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
 from jaxgeo.cli._flights import FlightOptions
 from jaxgeo.cli._inputs import check_no_overwrite, view_of_shots
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, print_counts, stderr, working
-from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.cli.overlap import BOTH
 
 ALONG = 100  # times along a flight for whose images the ground is fetched
@@ -129,7 +129,7 @@ def _plan(
     enable_x64()
     given, how = of
     start, along = course
-    how = known_takeoff(how, given.files or [], given.scene, ground.dem or [], ground)
+    how = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
     of_flight = given.flight(how)
     sensor, flight = of_flight.sensor, of_flight.trajectory
     _check_count(wishes, flight, start)

@@ -12,10 +12,10 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOptions
 from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, numbers_in, read_terrain
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, stderr, working
-from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.sensor import Shot
 
 UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
@@ -111,7 +111,7 @@ def _point(
 
     compile_quickly()
     enable_x64()
-    how = known_takeoff(how, given.files or [], given.scene, dem, reading)
+    how = with_known_heights(how, given.files or [], given.scene, dem, reading)
     found = given.read(how, "pointing").exposures
     if len(found) != 1:
         raise UserError(

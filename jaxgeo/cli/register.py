@@ -17,13 +17,13 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import pixel_pitch_of
 from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
+from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._option_names import translate_reach_errors, typed
 from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
 from jaxgeo.cli._screen import print_note, working
-from jaxgeo.cli._takeoff import known_takeoff
 from jaxgeo.cli.scene import write_scene_of
 
 
@@ -112,7 +112,7 @@ def _scene_of(
         return
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder) / f"{image.name}.toml"
-        write_scene_of(image, path, None, None, known_takeoff(how, [image], None, dem, reading))
+        write_scene_of(image, path, None, None, with_known_heights(how, [image], None, dem, reading))
         yield path
 
 

@@ -1,4 +1,4 @@
-"""`--takeoff-height dem`: the height of the elevation model under the first exposure."""
+"""What heights are above, before files are read: the take-off on the elevation model, and datums that nobody states."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,14 +14,18 @@ from jaxgeo._checks import enable_x64
 from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, ReadingOptions, reading_files
 from jaxgeo.cli._archive_dem import is_archive
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._inputs import read_terrain
+from jaxgeo.cli._inputs import open_terrain, read_terrain
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import print_note
 
+if TYPE_CHECKING:
+    from jaxgeo.io import Observations
+
+UNSTATED = "does not state the vertical datum of its heights"  # of a `VerticalDatumError`
 BESIDE = 2e-3  # deg of latitude: ground that is read around the first exposure, about 200 m
 
 
-def known_takeoff(
+def with_known_heights(
     reading: ReadingOptions,
     files: Sequence[pathlib.Path],
     scene: pathlib.Path | None,
@@ -30,9 +35,11 @@ def known_takeoff(
     """The reading options with a number for `--takeoff-height dem`, which is printed on stderr.
 
     It is the height in m above the ellipsoid of the elevation model under the earliest exposure. Raises `UserError`
-    without an elevation model, beside --camera-datum, and where the model has no height; and as the readers.
+    without an elevation model, beside --camera-datum, and where the model has no height; one for both, if neither
+    the files nor the elevation model state what their heights are above; and as the readers.
     """
     if reading.takeoff_height != TAKEOFF_ON_DEM:
+        _refuse_both(reading, list(files), scene, list(dem), of_dem)
         return reading
     if not dem:
         raise UserError(
@@ -52,14 +59,43 @@ def known_takeoff(
     return dataclasses.replace(reading, takeoff_height=f"{height:.3f}")
 
 
+def _refuse_both(
+    reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Path | None, dem: list[str], of_dem: DemOptions
+) -> None:
+    """Raise one `UserError` if neither the files nor the elevation model state what their heights are above."""
+    from jaxgeo.io.acquisitions import UnstatedDatum
+
+    said = (reading.height_datum, reading.takeoff_height, of_dem.vertical_datum)
+    if not files or not dem or any(one is not None for one in said) or is_archive(dem):
+        return
+    try:
+        open_terrain(dem, dataclasses.replace(of_dem, dem_bounds=None))
+        return
+    except UserError as error:
+        if UNSTATED not in f"{error}":
+            return  # said when the ground is read
+        of_ground = error
+    try:
+        enable_x64()
+        _read(reading, files, scene)
+    except UserError as error:
+        causes = error.__cause__, getattr(error.__cause__, "__cause__", None)
+        if any(isinstance(cause, UnstatedDatum) for cause in causes):
+            raise UserError(f"{error} And of the elevation model: {of_ground}") from error
+
+
+def _read(reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Path | None) -> Observations:
+    from jaxgeo.io import read_observations
+
+    with reading_files(files) as progress:
+        return read_observations(files, scene=scene, progress=progress, **reading.known_arguments)
+
+
 def _first_exposure(
     reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Path | None
 ) -> tuple[str, float, float]:
     """(name, latitude and longitude in deg) of the earliest exposure, of those at one time the first."""
-    from jaxgeo.io import read_observations
-
-    with reading_files(files) as progress:
-        observed = read_observations(files, scene=scene, progress=progress, **reading.known_arguments)
+    observed = _read(reading, files, scene)
     found: list[tuple[float, int, float, float]] = []
     for batch in observed.batches:
         times = np.broadcast_to(np.asarray(batch.shots.time, float), (len(batch.rows),))
@@ -67,7 +103,8 @@ def _first_exposure(
         lat, lon = (np.broadcast_to(np.rad2deg(np.asarray(x)), times.shape) for x in (place.lat, place.lon))
         found += zip(times.tolist(), np.asarray(batch.rows).tolist(), lat.tolist(), lon.tolist(), strict=True)
     _, row, lat, lon = min(found)
-    return str(observed.columns[row].get("name", observed.source)), lat, lon
+    name = str(observed.columns[row].get("name", row))
+    return (f"exposure {name} of {observed.source}" if name.isdigit() else name), lat, lon
 
 
 def _height_under(dem: list[str], of_dem: DemOptions, lat: float, lon: float) -> float:

@@ -1,4 +1,4 @@
-"""`--takeoff-height dem`: heights above the take-off on the elevation model under the first exposure."""
+"""What heights are above: `--takeoff-height dem`, on the elevation model, and datums that nobody states."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 from typing import Any
 
 import pytest
+import rasterio
 import typer
 from support.command_files import LAT, LON, prepare
 from support.command_runner import CliRunner
@@ -15,6 +16,10 @@ from test_cli_flights import CAMERA, log
 
 import jaxgeo
 from jaxgeo.cli import app
+from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._options import DemOptions
 
 IMAGE = "DJI_0042.JPG --takeoff-height dem --dem dem.tif"
 LOG = f"flight.csv --takeoff-height dem --dem dem.tif --camera {CAMERA}"
@@ -34,7 +39,7 @@ LINES = {
 }
 
 
-class Reached(ValueError):
+class Reached(UserError):
     """The elevation model was read for the take-off."""
 
 
@@ -64,6 +69,7 @@ def height_at(lat: float, lon: float) -> float:
     return float(jaxgeo.io.example_dem().height_at(place))
 
 
+@pytest.mark.costly
 def test_the_take_off_is_on_the_ground_under_the_image(here: pathlib.Path) -> None:
     """As if its height were typed; and it is printed."""
     prepare(here, f"locate {IMAGE}")
@@ -77,16 +83,20 @@ def test_the_take_off_is_on_the_ground_under_the_image(here: pathlib.Path) -> No
     assert any("take-off" in one for one in json.loads(found.stdout)["assumed"])
 
 
-def test_of_a_flight_it_is_the_earliest_exposure(here: pathlib.Path) -> None:
+def test_of_a_flight_it_is_the_earliest_exposure(here: pathlib.Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever the order of the rows."""
     prepare(here, "locate --dem dem.tif")
     path = log(here, ("33.500", "31.000", "32.000"), (15, 3590, 5))
+    given = ReadingOptions(takeoff_height="dem", camera=CAMERA)
+    found = with_known_heights(given, [path], None, ["dem.tif"], DemOptions())
     lat, lon = 36.3 + 1e-4, float(re.search(r"-84\.\d+", path.read_text())[0])  # type: ignore[index]
-    found = run(f"footprint {LOG} --json")
-    assert f"The take-off is at {height_at(lat, lon):.2f} m above the ellipsoid" in found.stderr
+    assert float(found.takeoff_height or "nan") == pytest.approx(height_at(lat, lon), abs=1e-3)
+    assert f"as the ground under exposure 1 of {path}" in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize("name", sorted(LINES))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.costly if name == "register" else ()) for name in sorted(LINES)]
+)
 def test_every_command_has_it(name: str, here: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(LINES) == with_both() - {"dem"}
 
@@ -97,7 +107,7 @@ def test_every_command_has_it(name: str, here: pathlib.Path, monkeypatch: pytest
     prepare(here, line)
     if LOG in line:
         log(here)
-    monkeypatch.setattr("jaxgeo.cli._takeoff.read_terrain", read)
+    monkeypatch.setattr("jaxgeo.cli._known_heights.read_terrain", read)
     result = run(line)
     assert result.exit_code == 2, result.output
     assert "reached" in result.stderr
@@ -117,7 +127,10 @@ def test_every_command_has_it(name: str, here: pathlib.Path, monkeypatch: pytest
             "is for commands with --dem; give the height of the take-off",
         ),
         ("scene DJI_0042.JPG --takeoff-height dem -o s.toml", "is for commands with --dem; give the height"),
-        (f"footprint {LOG} --dem-bounds -84.4,36.35,-84.3,36.4", "no height under the first exposure, flight.csv"),
+        (
+            f"footprint {LOG} --dem-bounds -84.4,36.35,-84.3,36.4",
+            "no height under the first exposure, exposure 0 of flight.csv",
+        ),
     ],
 )
 def test_where_there_is_no_ground_it_is_refused(line: str, words: str, here: pathlib.Path) -> None:
@@ -127,3 +140,22 @@ def test_where_there_is_no_ground_it_is_refused(line: str, words: str, here: pat
     result = run(line)
     assert result.exit_code == 2, result.output
     assert words in " ".join(result.stderr.split())
+
+
+@pytest.mark.costly
+def test_datums_that_nobody_states_are_asked_for_at_once(here: pathlib.Path) -> None:
+    """Of the images and of the elevation model; with both given, as the message says, there is a fix."""
+    prepare(here, "locate DJI_0042.JPG --dem dem.tif")
+    with rasterio.open("dem.tif") as file:
+        profile, heights = file.profile | {"crs": "EPSG:4326"}, file.read()
+    with rasterio.open("bare.tif", "w", **profile) as file:
+        file.write(heights)
+    line = "footprint DJI_0042.JPG --dem bare.tif"
+    result = run(line)
+    assert result.exit_code == 2, result.output
+    for option in ("--camera-datum", "--dem-datum"):
+        assert f"{option}:" in result.stderr
+    one = run(f"{line} --camera-datum ellipsoid")
+    assert "--dem-datum" in one.stderr
+    assert "--camera-datum" not in one.stderr
+    assert run(f"{line} --camera-datum ellipsoid --dem-datum EPSG:5773").exit_code == 0
