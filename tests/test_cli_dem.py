@@ -46,11 +46,16 @@ def run(words: list[str]) -> Any:
 
 
 def commands_with_dem() -> set[str]:
+    return commands_with("--dem")
+
+
+def commands_with(*options: str) -> set[str]:
+    """Commands that take all of these options."""
     group: Any = typer.main.get_command(app)
     found = set()
     for name, command in group.commands.items():
         for inner, one in getattr(command, "commands", {"": command}).items():
-            if any("--dem" in param.opts for param in one.params):
+            if set(options) <= {option for param in one.params for option in param.opts}:
                 found.add(f"{name} {inner}".strip())
     return found
 

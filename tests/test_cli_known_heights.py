@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 import rasterio
-import typer
 from support.command_files import LAT, LON, prepare
 from support.command_runner import CliRunner
+from test_cli_dem import commands_with
 from test_cli_flights import CAMERA, log
 
 import jaxgeo
@@ -45,17 +45,6 @@ class Reached(UserError):
 
 def run(line: str) -> Any:
     return CliRunner().invoke(app, line.split(), prog_name="jaxgeo")
-
-
-def with_both() -> set[str]:
-    """Commands that take heights above a take-off, and an elevation model."""
-    group: Any = typer.main.get_command(app)
-    found = set()
-    for name, command in group.commands.items():
-        options = {option for param in command.params for option in param.opts}
-        if {"--takeoff-height", "--dem"} <= options:
-            found.add(name)
-    return found
 
 
 @pytest.fixture
@@ -98,7 +87,7 @@ def test_of_a_flight_it_is_the_earliest_exposure(here: pathlib.Path, capsys: pyt
     "name", [pytest.param(name, marks=pytest.mark.costly if name == "register" else ()) for name in sorted(LINES)]
 )
 def test_every_command_has_it(name: str, here: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(LINES) == with_both() - {"dem"}
+    assert set(LINES) == commands_with("--takeoff-height", "--dem")
 
     def read(*_: Any) -> None:
         raise Reached("reached")

@@ -101,7 +101,7 @@ def datum_of(columns: Columns, given: str | float | None) -> str | float | None:
     path, stated = columns.table.path, np.unique(columns.names("height_datum"))
     text, number = str(stated[0]), number_in(str(stated[0]))
     if len(stated) > 1:
-        raise TableError(f"{path}: its column height_datum states both {text} and {stated[1]}; make it one table each.")
+        raise TableError(f"{path}: its column height_datum states both {text} and {stated[1]}; write a table for each.")
     if number is None and DATUM.fullmatch(text) is None:
         raise TableError(f"{path}: its column height_datum states {text!r}, not ellipsoid, EPSG:CODE or an undulation "
                          f"in m; leave the column out and pass height_datum=.")  # fmt: skip

@@ -154,6 +154,8 @@ def read_opensfm_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]
         if not isinstance(table, dict) or not table:
             raise TableError(f"{path}: expected cameras by name; got {shown(table)}.")
         for name, camera in table.items():
+            if not isinstance(camera, dict):
+                raise TableError(f"{path}, {name}: expected a camera, with its projection_type; got {shown(camera)}.")
             if cameras.setdefault(name, camera) != camera:
                 raise TableError(f"{path}: its reconstructions differ in camera {name!r}; make a file of each.")
     read = {name: camera for name, camera in cameras.items() if not _is_unread(camera)}
