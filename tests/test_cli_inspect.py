@@ -14,6 +14,7 @@ from support.autopilot_logs import AT, dataflash, ulog
 from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
+from support.video_files import written_video
 
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
@@ -86,6 +87,7 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "eo.csv": (of_text(TABLE), "table of orientations", {"height_datum": "ellipsoid"}),
     "opk.txt": (of_text(OPK), "table of orientations", {"height_datum": "ellipsoid", "crs": "EPSG:32651"}),
     "clip.srt": (of_text(subtitles()), "subtitle file of DJI", {"height_datum": "ellipsoid"}),
+    "clip.mp4": (of_bytes(written_video([(0.0, subtitles())])), "video of DJI", {"height_datum": "ellipsoid"}),
     "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
     "litchi.csv": (of_text(litchi()), "flight log of Litchi", {"takeoff_height": 54.0}),
     "reader.csv": (of_text(reader()), "flight log of Flight Reader", {"height_datum": "ellipsoid"}),
@@ -154,6 +156,7 @@ CAMERA_GIVEN = {  # have none
         "eo.csv",
         "opk.txt",
         "clip.srt",
+        "clip.mp4",
         "flight.csv",
         "litchi.csv",
         "reader.csv",

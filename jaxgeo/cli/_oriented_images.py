@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxgeo.io import Observations
 
 ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
-NO_IMAGES = ("MISB", "subtitle", "flight log", "SBET", "scene")  # kinds of files that name no images
+NO_IMAGES = ("MISB", "subtitle", "video", "flight log", "SBET", "scene")  # kinds of files that name no images
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ import bz2
 import json
 
 import jax
+from support.video_files import written_video
 
 from jaxgeo.demo import scene_file
 from jaxgeo.io import (
@@ -33,7 +34,7 @@ from jaxgeo.io.tables import read_shots
 from tests.fuzz.programs import PROGRAMS as OF_PROGRAMS
 from tests.fuzz.reading import Reader
 from tests.fuzz.second import any_kind, binary, drone_images, rasters, structured, tables
-from tests.fuzz.sound_exports import AIRDATA, GERMAN, METASHAPE, POSITIONS, PROGRAMS, SUBTITLES
+from tests.fuzz.sound_exports import AIRDATA, CAPTIONS, GERMAN, METASHAPE, POSITIONS, PROGRAMS, SUBTITLES
 from tests.fuzz.sound_files import (
     ACQUISITION,
     BAL,
@@ -281,6 +282,16 @@ READERS: tuple[Reader, ...] = (
         text=True,
         second=structured.subtitles,
         tests="flight_logs",
+    ),
+    Reader(
+        "video of DJI",
+        ".mp4",
+        contents(written_video(CAPTIONS)),
+        lambda path: read_acquisition(path, height_datum="EPSG:5773"),
+        ACQUISITION,
+        sound,
+        second=structured.captions,
+        tests="dji_videos",
     ),
     Reader(
         "flight log of AirData",

@@ -29,6 +29,7 @@ _SUBTITLE = (
     "[gb_yaw: 12.5 gb_pitch: -45.0 gb_roll: 0.0]</font>\n\n"
 )
 SUBTITLES = _SUBTITLE.format(1) + _SUBTITLE.format(2)
+CAPTIONS = [(float(k), _SUBTITLE.format(k + 1).split("\n", 2)[2].strip()) for k in range(3)]  # of a video
 AIRDATA = (
     "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),altitude_above_seaLevel(feet),gpslevel,"
     "gimbal_heading(degrees),gimbal_pitch(degrees),gimbal_roll(degrees),isPhoto\n"

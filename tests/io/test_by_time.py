@@ -119,14 +119,6 @@ def test_logs_and_telemetry_take_times_in_utc_too(tmp_path: pathlib.Path) -> Non
         read_acquisition(table, height_datum=0.0, times=["1"])
 
 
-def test_a_video_is_told_from_its_subtitles(tmp_path: pathlib.Path) -> None:
-    """ISO 14496-12: a file starts with a box of the type ftyp."""
-    path = tmp_path / "DJI_0001.MP4"
-    path.write_bytes(struct.pack(">I4s4sI4s", 20, b"ftyp", b"isom", 512, b"isom") + bytes(range(256)) * 4)
-    with pytest.raises(TableError, match=r"this is a video .*the subtitle file \(\.SRT\).*ffmpeg"):
-        read_acquisition(path, height_datum=0.0, times=["1"])
-
-
 def test_the_command_line_says_which(srt) -> None:
     path = str(srt(video()))
     line = ["inspect", path, "--camera-datum", "0"]

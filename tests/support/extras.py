@@ -21,6 +21,7 @@ import numpy as np
 import jaxgeo
 from support.autopilot_logs import AT, dataflash, ulog
 from support.klv_packets import local_set, usual
+from support.video_files import written_video
 
 CAMERA = {"type": "pinhole", "im_size": [640, 1152], "focal_len": 120.0, "sensor_size": [92.16, 165.888]}
 ABOVE_ELLIPSOID = (5, 6, 7, 13, 14, 16, 17, 18, 19, 20, 21, 23, 24, 75, 78)
@@ -105,6 +106,13 @@ def telemetry(folder: pathlib.Path) -> None:
     assert len(read_telemetry(path, image_size=(640, 480)).names) == 3
 
 
+def captions(folder: pathlib.Path) -> None:
+    """A video with subtitles."""
+    words = "[latitude: 36.3] [longitude: -84.2] [abs_alt: 900.0] [gb_yaw: 30.0 gb_pitch: -60.0 gb_roll: 0.0]"
+    (folder / "a.mp4").write_bytes(written_video([(0.0, words)]))
+    assert len(jaxgeo.io.read_acquisition(folder / "a.mp4", height_datum=0.0)) == 1
+
+
 def dataset(folder: pathlib.Path) -> None:
     """A map of accuracy."""
     from jaxgeo.uncertainty import Accuracy, AccuracyMap
@@ -165,7 +173,7 @@ EXTRAS = {
     "logs": Extra(("pymavlink", "pyulog"), (dataflash_log, px4_log)),
     "orthority": Extra(("yaml",), (interior_parameters,)),
     "stac": Extra(("pystac", "pystac_client", "requests"), (search,)),
-    "video": Extra(("av",), (telemetry,)),
+    "video": Extra(("av",), (telemetry, captions)),
     "xarray": Extra(("xarray",), (dataset,)),
 }
 

@@ -8,6 +8,7 @@ from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of
 from jaxgeo.io.acquisitions.colmap import read_colmap
 from jaxgeo.io.acquisitions.detect import read_acquisition
 from jaxgeo.io.acquisitions.dji_subtitles import read_dji_subtitles
+from jaxgeo.io.acquisitions.dji_videos import read_dji_video
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
 from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
 from jaxgeo.io.acquisitions.litchi import read_litchi
@@ -42,6 +43,7 @@ __all__ = [
     "read_ardupilot",
     "read_colmap",
     "read_dji_subtitles",
+    "read_dji_video",
     "read_drone_images",
     "read_flight_reader",
     "read_litchi",

@@ -27,6 +27,8 @@ from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of
 from jaxgeo.io.acquisitions.colmap import FORM as COLMAP_FORM
 from jaxgeo.io.acquisitions.colmap import files_of_model, is_colmap, read_colmap
 from jaxgeo.io.acquisitions.dji_subtitles import CUE, read_dji_subtitles
+from jaxgeo.io.acquisitions.dji_videos import FORM as VIDEO_FORM
+from jaxgeo.io.acquisitions.dji_videos import STILLS, TYPE, is_video, read_dji_video
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
 from jaxgeo.io.acquisitions.flight_reader import read_flight_reader
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
@@ -54,9 +56,8 @@ PICTURES: dict[str, Callable[[bytes], bool]] = {
     "PNG": lambda head: head.startswith(b"\x89PNG\r\n"),
     "GIF": lambda head: head.startswith((b"GIF87a", b"GIF89a")),
     "WebP": lambda head: head[:4] == b"RIFF" and head[8:12] == b"WEBP",
-    "HEIF": lambda head: head[4:8] == MP4 and head[8:12] in (b"heic", b"heix", b"mif1", b"msf1", b"avif"),
+    "HEIF": lambda head: head[4:8] == TYPE and head[8:12] in STILLS,
 }
-MP4 = b"ftyp"  # after the length of the first box
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
 
@@ -84,14 +85,14 @@ class Form(NamedTuple):
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
     an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, a COLMAP
-    model, MicMac orientations or Pix4D camera parameters (folder or file), Metashape cameras (XML), DJI video
-    subtitles, flight logs (AirData, Litchi, Flight Reader, ArduPilot, PX4), a scene.
+    model, MicMac orientations or Pix4D camera parameters (folder or file), Metashape cameras (XML), DJI videos and
+    their subtitles, flight logs (AirData, Litchi, Flight Reader, ArduPilot, PX4), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
-    images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
+    images, videos, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
     `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `times`, such as "00:01:23", "83.5" or
-    "2024-05-10T10:20:31Z": exposures at these times, interpolated (telemetry, subtitles, flight logs but those of
-    photos); `crs` and `camera`, a camera name (orientations, parameters, reconstructions), or a lens or file as for
+    "2024-05-10T10:20:31Z": exposures at these times, interpolated (telemetry, videos, subtitles, flight logs but those
+    of photos); `crs` and `camera`, a camera name (orientations, parameters, reconstructions), or a lens or file as for
     images (telemetry, orientations, logs); `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and
     `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises `TableError`
     for an unknown kind of file, and for an option that its reader does not accept; `FileNotFoundError`; and as the
@@ -153,11 +154,6 @@ def form_of(path: str | os.PathLike[str]) -> Form:
         if form.is_one(place, head):
             return form
     _refuse_image(path, head)
-    if head[4:8] == MP4:
-        raise TableError(
-            f"{path}: this is a video (MP4 or MOV), of which no telemetry is read. Give the subtitle file (.SRT) that "
-            f"the drone wrote beside it, or its subtitles as such a file: ffmpeg -i VIDEO -map 0:s:0 clip.srt."
-        )
     _refuse_damaged(path, head)
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
@@ -301,6 +297,10 @@ def _is_subtitles(path: pathlib.Path, head: bytes) -> bool:
     return text is not None and CUE.search(text) is not None and ("latitude" in text.lower() or "GPS" in text)
 
 
+def _is_video(path: pathlib.Path, head: bytes) -> bool:
+    return is_video(head)
+
+
 def _is_log(*columns: str, one_of: tuple[str, ...]) -> Callable[[pathlib.Path, bytes], bool]:
     """A test whether the header of a table has all columns, and one of the others, in any case."""
 
@@ -371,6 +371,7 @@ FORMS = (
     Form("MISB ST 0601 telemetry", _is_telemetry, by_time(read_telemetry), TELEMETRY),
     Form("scene file", _is_scene, _of_scene, ()),
     Form("subtitle file of DJI", _is_subtitles, by_time(read_dji_subtitles), FLIGHT_LOG),
+    Form(VIDEO_FORM, _is_video, by_time(read_dji_video), FLIGHT_LOG),
     Form(
         "flight log of AirData", _is_log("latitude", "longitude", one_of=OF_AIRDATA), by_time(read_airdata), FLIGHT_LOG
     ),

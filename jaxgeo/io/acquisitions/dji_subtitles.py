@@ -6,6 +6,7 @@ import calendar
 import math
 import os
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from jaxgeo._checks import require_x64
@@ -66,11 +67,26 @@ def read_dji_subtitles(
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
-    blocks = _blocks(path)
-    records = [_record(path, index, block) for index, (_, block) in enumerate(blocks)]
+    how = {"height_datum": height_datum, "takeoff_height": takeoff_height, "cameras": cameras, "camera": camera}
+    return acquisition_of_cues(path, FORM, _cues(path), **how)
+
+
+def acquisition_of_cues(
+    path: str | os.PathLike[str],
+    form: str,
+    cues: Sequence[tuple[float, str]],
+    *,
+    height_datum: str | float | None,
+    takeoff_height: float | None,
+    cameras: FrameCamera | None,
+    camera: str | None,
+    facts: Mapping[str, str] | None = None,
+) -> Acquisition:
+    """The frames of a video from its subtitles, (start in s of the video, text) each; as `read_dji_subtitles`."""
+    records = [_record(path, index, text) for index, (_, text) in enumerate(cues)]
     is_dated = all(math.isfinite(record.time) for record in records)
     if not is_dated:
-        records = [replace(record, time=cue) for record, (cue, _) in zip(records, blocks, strict=True)]
+        records = [replace(record, time=start) for record, (start, _) in zip(records, cues, strict=True)]
     if not any(all(name in record.values for name in ANGLES) for record in records):
         raise TableError(
             f"{path}: there are no angles of the camera (gb_yaw, gb_pitch, gb_roll), which not every drone writes; "
@@ -79,21 +95,21 @@ def read_dji_subtitles(
     focal = {str(record.values["focal_len"]) for record in records if record.values.get("focal_len")}
     found = acquisition_of_records(
         path,
-        FORM,
+        form,
         records,
         SUBTITLES,
         height_datum=height_datum,
         takeoff_height=takeoff_height,
         cameras=cameras,
         camera=camera,
-        facts={"focal length as written": ", ".join(sorted(focal)[:3])} if focal else {},
+        facts={**(facts or {}), **({"focal length as written": ", ".join(sorted(focal)[:3])} if focal else {})},
         assumed=("Times are by the drone's clock, whose time zone is not said." if is_dated else OF_VIDEO,),
     )
-    return replace(found, start=records[0].time - blocks[0][0])  # where the video starts
+    return replace(found, start=records[0].time - cues[0][0])  # where the video starts
 
 
-def _blocks(path: str | os.PathLike[str]) -> list[tuple[float, str]]:
-    """(start in s of the video, text) of each cue. Raises `TableError` if there is none."""
+def _cues(path: str | os.PathLike[str]) -> list[tuple[float, str]]:
+    """(start in s of the video, text) of each subtitle. Raises `TableError` if there is none."""
     found: list[tuple[float, list[str]]] = []
     before = 0
     for number, line in enumerate(read_text(path, FORM).splitlines(), start=1):
@@ -113,8 +129,8 @@ def _blocks(path: str | os.PathLike[str]) -> list[tuple[float, str]]:
     return [(start, " ".join(lines)) for start, lines in found]
 
 
-def _record(path: object, index: int, block: str) -> LogRecord:
-    text = re.sub(r"<[^>]*>", " ", block)
+def _record(path: object, index: int, text: str) -> LogRecord:
+    text = re.sub(r"<[^>]*>", " ", text)
     fields: dict[str, str] = {}
     for name, word in FIELD.findall(text):
         name = SPELLINGS.get(name.lower()) or name.lower()

@@ -12,6 +12,7 @@ from jaxgeo.io.errors import TableError
 SYNC = 0x47  # first byte of each packet of a transport stream
 PACKETS = {188: 0, 192: 4, 204: 0}  # packet size (plain, with timecode, with check bytes): offset of SYNC
 HEAD = 4 * 204  # bytes needed for detection
+LOCAL = {"protocol_whitelist": "file"}  # FFmpeg opens no other
 
 
 class Carried(NamedTuple):
@@ -36,9 +37,9 @@ def read_transport_stream(path: str | os.PathLike[str], stream: int | None = Non
     cannot be demultiplexed, one without such packets and one with several such streams; `ImportError` without PyAV.
     """
     check_regular(path, TableError)
-    av = _pyav()
+    av = pyav("Transport streams")
     try:
-        with av.open(os.fspath(path), format="mpegts", options={"protocol_whitelist": "file"}) as container:
+        with av.open(os.fspath(path), format="mpegts", options=LOCAL, metadata_errors="replace") as container:
             data = _data_streams(container)
             video = container.streams.video
             codec = video[0].codec_context if video else None  # None if FFmpeg has no decoder
@@ -80,9 +81,10 @@ def _listed(indices: Any) -> str:
     return ", ".join(str(index) for index in indices) or "none"
 
 
-def _pyav() -> Any:
+def pyav(read: str) -> Any:
+    """The module `av`, by which something is read. Raises `ImportError`, with what to install."""
     try:
         import av
     except ImportError as error:
-        raise ImportError("Transport streams are read by PyAV: pip install 'jaxgeo[video]'.") from error
+        raise ImportError(f"{read} are read by PyAV: pip install 'jaxgeo[video]'.") from error
     return av

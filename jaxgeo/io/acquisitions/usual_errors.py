@@ -15,6 +15,7 @@ LEVEL = {"yaw": 1.0}  # deg, of a drone gimbal relative to level and north: its 
 LEVEL_ELSE = 0.5  # deg: its other angles
 OF_DRONES = (
     "subtitle file of DJI",
+    "video of DJI",
     "flight log of AirData",
     "flight log of Litchi",
     "flight log of Flight Reader",

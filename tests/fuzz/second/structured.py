@@ -5,13 +5,14 @@ from __future__ import annotations
 import pathlib
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import pyproj
 import yaml
 from scipy.spatial.transform import Rotation
+from support.video_files import texts_in
 
 from tests.fuzz.second.compared import (
     DEGREES,
@@ -237,8 +238,18 @@ def _floats(text: str | None) -> np.ndarray:
 def subtitles(path: pathlib.Path, found: Any) -> None:
     """`name: number` in each cue: every exposure is one of them, in their order; the others are counted."""
     text = "\n".join(decoded(path.read_bytes()).splitlines())
+    time = r"^.*\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+.*$"
+    _are_of(re.split(time, text, flags=re.MULTILINE)[1:], found)
+
+
+def captions(path: pathlib.Path, found: Any) -> None:
+    """The same of the samples of a text track."""
+    _are_of(texts_in(path.read_bytes()), found)
+
+
+def _are_of(cues: Iterable[str], found: Any) -> None:
     rows = []
-    for cue in re.split(r"^.*\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+.*$", text, flags=re.MULTILINE)[1:]:
+    for cue in cues:
         fields = re.findall(
             r"(\w+)\s*:\s*([-+]?[0-9][^\s\]\[,;)}<>]*)", re.sub(r"<[^>]*>", " ", " ".join(cue.split("\n")))
         )
