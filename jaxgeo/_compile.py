@@ -35,7 +35,8 @@ PASSES = "while-loop-invariant-code-motion,simplify-while-loops,tree_reduction_r
 
 
 def quick_options() -> dict[str, Any]:
-    """XLA CPU options: the older emitter, with little optimisation; none on other backends or if not supported.
+    """XLA CPU options: the older emitter, with little optimisation, by one thread; none on other backends or if not
+    supported.
 
     A level set in `XLA_FLAGS` is kept. Not level 0: with it and the older emitter, XLA of jaxlib 0.10 gives wrong
     numbers on processors with AVX2.
@@ -56,6 +57,7 @@ def long_run_options() -> dict[str, Any]:
 @functools.cache
 def _quick_options(platform: str) -> dict[str, Any]:
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": PASSES}
+    options["xla_cpu_multi_thread_eigen"] = False  # one item is done sooner than shared among threads
     if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
         options["xla_backend_optimization_level"] = 1
     return _supported(options, platform)

@@ -8,6 +8,7 @@ block.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
@@ -18,7 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._accelerator import by_device
+from jaxgeo._accelerator import by_device, on_accelerator
 from jaxgeo._compile import batch_filter_jit, long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Flags, Index, Vector3
 from jaxgeo.status import counts_as_fix
@@ -37,11 +38,12 @@ from jaxgeo.uncertainty.batched_rays import (
     places_of_ground,
     search_of_lines,
 )
-from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Sobol, first_key
+from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Random, Sobol, first_key
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.rotation import Rotation, Trial, rotation_of
 
+SMALL = 10_000  # bytes of an array that is on other devices soonest by way of the host
 FEW, MANY = 5 * BLOCK, 37 * BLOCK  # samples of one call on one device, at most; eight calls are a million
 MOST_POINTS = 64  # axes of an error vector: of more, coordinates of Sobol points are no better than independent ones
 LONG_RUN = 4 * FEW  # samples per device from which programs are compiled for speed
@@ -164,15 +166,16 @@ def make_plan(
     rotation = Rotation.none(model.size) if isinstance(draws, Sobol) else None
     if has_own_field(places):  # the older emitter does not finish
         size = size._replace(is_long_run=True)
-    seeds = lambda key: jax.device_put(draws.seeds(key, model.size, leading_of(model)))  # noqa: E731
+    seeds = jax.device_put(draws.seeds(key, model.size, leading_of(model)))
     plan = Plan(
-        LinePlan(inputs, model, roots, rotation, draws, seeds(key), places),
+        LinePlan(inputs, model, roots, rotation, draws, seeds, places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
-        arrays, rest = eqx.partition(plan, eqx.is_array)
-        plan = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(size.devices), PartitionSpec())), rest)
-    trial = draw_lines(plan.lines._replace(seeds=seeds(first_key())), Part.of(0, TRIALS, size), size, TRIALS)
+        plan = _on_all(plan, size.devices)
+    known = _known_seeds if isinstance(draws, Random | Sobol) else _first_seeds
+    first = jax.device_put(known(draws, model.size, leading_of(model)))
+    trial = draw_lines(plan.lines._replace(seeds=first), Part.of(0, TRIALS, size), size, TRIALS)
     if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
         some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)
         trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
@@ -182,6 +185,25 @@ def make_plan(
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
         plan = plan._replace(lines=plan.lines._replace(rotation=rotation))
     return plan, size
+
+
+def _first_seeds(draws: AbstractDraws, size: int, leading: int) -> Any:
+    """Seeds of the key 0."""
+    return draws.seeds(first_key(), size, leading)
+
+
+_known_seeds = functools.lru_cache(maxsize=16)(_first_seeds)  # NumPy, a millisecond
+
+
+def _on_all(plan: Plan, devices: tuple[Any, ...]) -> Plan:
+    """The plan on all devices. From the host small arrays get there in a third of the time of those on a device."""
+    arrays, rest = eqx.partition(plan, eqx.is_array)
+    leaves, form = jax.tree.flatten(arrays)
+    small = [number for number, leaf in enumerate(leaves) if leaf.nbytes < SMALL and not on_accelerator(devices)]
+    for number, leaf in zip(small, jax.device_get([leaves[number] for number in small]), strict=True):
+        leaves[number] = leaf
+    leaves = jax.device_put(leaves, NamedSharding(_mesh(devices), PartitionSpec()))
+    return eqx.combine(jax.tree.unflatten(form, leaves), rest)
 
 
 @quick_filter_jit
