@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support.scenes import SIZE, flat, rough, small_dem
+from support.scenes import SIZE, flat, hit, local_ray, rough, small_dem
 
 import jaxgeo
 from jaxgeo import Dem, Geodetic
@@ -318,3 +318,16 @@ def test_the_gradient_of_a_patch_is_the_difference_of_its_heights() -> None:
             patch.at(row, col + half) - patch.at(row, col - half),
         )
         np.testing.assert_allclose(patch.gradient(row, col), differences, rtol=1e-12)
+
+
+@pytest.mark.parametrize("axis, azimuths", [(1, (90.0, -90.0)), (0, (0.0, 180.0))])
+def test_walls_at_both_ends_stop_level_rays(axis, azimuths):
+    """The search leaves out no ground because of that of another place, by rows nor by columns."""
+    posts = np.zeros(SIZE)
+    posts[[1, -2]] = 400.0
+    ground = np.broadcast_to(posts if axis == 1 else posts[:, None], (SIZE, SIZE))
+    fix = hit([local_ray(0.0, 0.0, 150.0, azimuth=one, elevation=-0.5) for one in azimuths], small_dem(ground))
+    before = 30.0 * (SIZE // 2 - 2)  # m from the centre, where a wall begins
+    height = 150.0 - before * np.tan(np.deg2rad(0.5))  # above the ground there
+    assert fix.status.tolist() == [0, 0]
+    np.testing.assert_allclose(fix.slant_range, before + 30.0 * height / 400.0, atol=0.2)
