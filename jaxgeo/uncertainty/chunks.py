@@ -8,7 +8,6 @@ block.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
@@ -38,7 +37,7 @@ from jaxgeo.uncertainty.batched_rays import (
     places_of_ground,
     search_of_lines,
 )
-from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Random, Sobol, first_key
+from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Sobol, first_key
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.rotation import Rotation, Trial, rotation_of
@@ -166,16 +165,14 @@ def make_plan(
     rotation = Rotation.none(model.size) if isinstance(draws, Sobol) else None
     if has_own_field(places):  # the older emitter does not finish
         size = size._replace(is_long_run=True)
-    seeds = jax.device_put(draws.seeds(key, model.size, leading_of(model)))
+    seeds = lambda key: jax.device_put(draws.seeds(key, model.size, leading_of(model)))  # noqa: E731
     plan = Plan(
-        LinePlan(inputs, model, roots, rotation, draws, seeds, places),
+        LinePlan(inputs, model, roots, rotation, draws, seeds(key), places),
         FixPlan(nominal, search, common_ground(inputs, places)),
     )
     if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
         plan = _on_all(plan, size.devices)
-    known = _known_seeds if isinstance(draws, Random | Sobol) else _first_seeds
-    first = jax.device_put(known(draws, model.size, leading_of(model)))
-    trial = draw_lines(plan.lines._replace(seeds=first), Part.of(0, TRIALS, size), size, TRIALS)
+    trial = draw_lines(plan.lines._replace(seeds=seeds(first_key())), Part.of(0, TRIALS, size), size, TRIALS)
     if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
         some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)
         trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
@@ -185,14 +182,6 @@ def make_plan(
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
         plan = plan._replace(lines=plan.lines._replace(rotation=rotation))
     return plan, size
-
-
-def _first_seeds(draws: AbstractDraws, size: int, leading: int) -> Any:
-    """Seeds of the key 0."""
-    return draws.seeds(first_key(), size, leading)
-
-
-_known_seeds = functools.lru_cache(maxsize=16)(_first_seeds)  # NumPy, a millisecond
 
 
 def _on_all(plan: Plan, devices: tuple[Any, ...]) -> Plan:
