@@ -79,7 +79,7 @@ STATIC_NUMPY = {
     ("jaxgeo/sensor/camera.py", "_array"): "converts the caller's lists and tuples; arrays pass unchanged",
     ("jaxgeo/sensor/pointing.py", "out_of_range"): "writes an error message, after `concrete` gave the status",
     ("jaxgeo/sensor/pointing.py", "_named"): "the same",
-    ("jaxgeo/uncertainty/chunks.py", "_mesh"): "makes an array of devices",
+    ("jaxgeo/uncertainty/replicated.py", "mesh_of"): "makes an array of devices",
     ("jaxgeo/uncertainty/linear.py", "Derivatives.propagation"): "is called with known arguments only",
     ("jaxgeo/uncertainty/radii.py", "_at_hand"): "leaves traced values as they are",
     **{

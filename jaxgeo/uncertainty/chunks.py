@@ -15,17 +15,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._accelerator import by_device, on_accelerator
+from jaxgeo._accelerator import by_device
 from jaxgeo._compile import batch_filter_jit, long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Flags, Index, Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
-    STAGE,
     TRIALS,
     PerturbedLines,
     Stages,
@@ -40,9 +39,9 @@ from jaxgeo.uncertainty.batched_rays import (
 from jaxgeo.uncertainty.draws import LEADING, AbstractDraws, Sobol, first_key
 from jaxgeo.uncertainty.model import ErrorModel, Root
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.replicated import Replicated, large_on_all, mesh_of, whole
 from jaxgeo.uncertainty.rotation import Rotation, Trial, rotation_of
 
-SMALL = 10_000  # bytes of an array that is on other devices soonest by way of the host
 FEW, MANY = 5 * BLOCK, 37 * BLOCK  # samples of one call on one device, at most; eight calls are a million
 MOST_POINTS = 64  # axes of an error vector: of more, coordinates of Sobol points are no better than independent ones
 LONG_RUN = 4 * FEW  # samples per device from which programs are compiled for speed
@@ -75,10 +74,12 @@ class FixPlan(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Inputs of a sampling, common to all chunks."""
+    """Inputs of a sampling, common to all chunks; `sent_lines` and `sent_fixes` are those that the programs take."""
 
     lines: LinePlan
     fixes: FixPlan
+    sent_lines: Any = None
+    sent_fixes: Any = None
 
 
 class Size(NamedTuple):
@@ -93,7 +94,7 @@ class Size(NamedTuple):
     @property
     def step(self) -> int:
         """Lines of sight that are formed together; a block is a whole number of them."""
-        return STAGE if self.block == BLOCK else self.block
+        return by_device(self.block // (2 * -(-self.block // BLOCK)), self.block, self.devices)
 
     @classmethod
     def of(cls, count: int, chunk: int, devices: tuple[Any, ...]) -> Size:
@@ -165,34 +166,38 @@ def make_plan(
     rotation = Rotation.none(model.size) if isinstance(draws, Sobol) else None
     if has_own_field(places):  # the older emitter does not finish
         size = size._replace(is_long_run=True)
-    seeds = lambda key: jax.device_put(draws.seeds(key, model.size, leading_of(model)))  # noqa: E731
-    plan = Plan(
-        LinePlan(inputs, model, roots, rotation, draws, seeds(key), places),
-        FixPlan(nominal, search, common_ground(inputs, places)),
-    )
-    if size.devices != tuple(jax.local_devices()[:1]):  # once, not per chunk: the terrain may be large
-        plan = _on_all(plan, size.devices)
-    trial = draw_lines(plan.lines._replace(seeds=seeds(first_key())), Part.of(0, TRIALS, size), size, TRIALS)
+    seeds = lambda key: draws.seeds(key, model.size, leading_of(model))  # noqa: E731
+    lines = LinePlan(inputs, model, roots, rotation, draws, seeds(key), places)
+    fixes = FixPlan(nominal, search, common_ground(inputs, places))
+    plan = Plan(lines, fixes)
+    if not _is_default(size.devices):  # once, not per chunk: the terrain may be large
+        plan = large_on_all(plan, size.devices)
+    of_trial = _sent(plan.lines._replace(seeds=seeds(first_key())), size)
+    trial = draw_lines(of_trial, Part.of(0, TRIALS, size), size, TRIALS)
     if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
-        some = by_device(lambda x: x, lambda x: x[:TRIALS], size.devices)
-        trial = jax.tree.map(lambda x: np.asarray(some(x))[:TRIALS], trial)
-    found = search_of_lines(search, plan.lines.inputs, nominal, trial)
-    plan = plan._replace(fixes=plan.fixes._replace(search=found))
+        trial = jax.tree.map(lambda x: np.asarray(_first_of(x, TRIALS, size)), trial)
+    found = search_of_lines(search, inputs, nominal, trial)
     if isinstance(draws, Sobol):
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
-        plan = plan._replace(lines=plan.lines._replace(rotation=rotation))
-    return plan, size
+    sent = plan.lines._replace(rotation=rotation), plan.fixes._replace(search=found)
+    lines, fixes = lines._replace(rotation=rotation), fixes._replace(search=found)
+    return Plan(lines, fixes, *(_sent(part, size) for part in sent)), size
 
 
-def _on_all(plan: Plan, devices: tuple[Any, ...]) -> Plan:
-    """The plan on all devices. From the host small arrays get there in a third of the time of those on a device."""
-    arrays, rest = eqx.partition(plan, eqx.is_array)
-    leaves, form = jax.tree.flatten(arrays)
-    small = [number for number, leaf in enumerate(leaves) if leaf.nbytes < SMALL and not on_accelerator(devices)]
-    for number, leaf in zip(small, jax.device_get([leaves[number] for number in small]), strict=True):
-        leaves[number] = leaf
-    leaves = jax.device_put(leaves, NamedSharding(_mesh(devices), PartitionSpec()))
-    return eqx.combine(jax.tree.unflatten(form, leaves), rest)
+def _is_default(devices: tuple[Any, ...]) -> bool:
+    """Whether these are the one device on which arrays are made."""
+    return devices == tuple(jax.local_devices()[:1])
+
+
+def _sent(tree: Any, size: Size) -> Any:
+    """A tree as the programs take it."""
+    return tree if _is_default(size.devices) else Replicated.of(tree, size.devices)
+
+
+def _first_of(array: Array, count: int, size: Size) -> Any:
+    """The first `count` items of an array that is spread over the devices; they are all on the first one."""
+    own = array if len(size.devices) == 1 else array.addressable_shards[0].data
+    return np.asarray(own)[:count] if by_device(True, False, size.devices) else own[:count]
 
 
 @quick_filter_jit
@@ -215,13 +220,15 @@ def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple
     return *others, lambda numbers: model.draw(roots, last(numbers))
 
 
-def draw_lines(plan: LinePlan, part: Part, size: Size, enough: int | None = None) -> PerturbedLines:
+def draw_lines(plan: LinePlan | Replicated, part: Part, size: Size, enough: int | None = None) -> PerturbedLines:
     """Perturbed lines of sight of the blocks of a part: `part.share` blocks on each device, or the first `enough`."""
     steps = int(part.share) * (size.block // size.step) if enough is None else -(-enough // size.step)
     return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, np.asarray(steps), size)
 
 
-def draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
+def draw_chunk(
+    plan: FixPlan | Replicated, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool
+) -> Drawn:
     """The chunk of a part from its perturbed lines of sight. Devices do not wait for each other's sums.
 
     Only the program of long runs has a variant without the errors of samples: that of short ones always returns them,
@@ -248,9 +255,9 @@ def fixes_of_points(
     lines = jax.tree.map(np.asarray, _lines_of_points(plan.lines, points))
     lines = jax.tree.map(lambda x: np.concatenate([x, np.broadcast_to(x[:1], (room, *x.shape[1:]))]), lines)
     if len(size.devices) > 1:
-        lines = jax.device_put(lines, NamedSharding(_mesh(size.devices), PartitionSpec("samples")))
+        lines = jax.device_put(lines, NamedSharding(mesh_of(size.devices), PartitionSpec("samples")))
     part = Part.of(0, count, size)
-    drawn = draw_chunk(plan.fixes, jax.tree.map(jnp.asarray, lines), part, jnp.zeros(3), size, True)
+    drawn = draw_chunk(plan.sent_fixes, jax.tree.map(jnp.asarray, lines), part, jnp.zeros(3), size, True)
     drawn = drawn.of_samples(0, count, size)
     return np.nan_to_num(np.asarray(drawn.errors)), np.asarray(drawn.statuses)
 
@@ -266,7 +273,9 @@ def _lines_of_points(plan: LinePlan, points: Float[Array, "points axes"]) -> Per
     return perturbed_lines(model, plan.inputs, plan.places, stages, points)
 
 
-def _draw_lines(plan: LinePlan, part: Part, steps: HostIndex, size: Size) -> PerturbedLines:
+def _draw_lines(plan: Any, part: Part, steps: HostIndex, size: Size) -> PerturbedLines:
+    plan = whole(plan)
+
     def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part, steps: HostIndex) -> PerturbedLines:
         whole = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
         first = _first_of_device(device[0], part, size.block)
@@ -275,7 +284,9 @@ def _draw_lines(plan: LinePlan, part: Part, steps: HostIndex, size: Size) -> Per
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part, steps)
 
 
-def _draw_chunk(plan: FixPlan, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
+def _draw_chunk(plan: Any, lines: PerturbedLines, part: Part, centre: Vector3, size: Size, keep: bool) -> Drawn:
+    plan = whole(plan)
+
     def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
         args = _first_of_device(device[0], part, size.block), lines, plan, part, centre, keep
         blocks = size.block, size.capacity
@@ -349,7 +360,7 @@ def _on_each(function: Callable[..., Any], devices: tuple[Any, ...], spread: tup
         return function(*spread, *common)
     everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
     specs = (in_turn,) * len(spread) + (everywhere,) * len(common)
-    every = jax.shard_map(function, mesh=_mesh(devices), in_specs=specs, out_specs=in_turn, check_vma=False)
+    every = jax.shard_map(function, mesh=mesh_of(devices), in_specs=specs, out_specs=in_turn, check_vma=False)
     return every(*spread, *common)
 
 
@@ -363,10 +374,6 @@ def _moments(error: Float[Array, "part 3"], counts: Flags) -> Float[Array, "4 4"
     return jnp.stack(sums)[_PLACES]
 
 
-def _mesh(devices: tuple[Any, ...]) -> Mesh:
-    return Mesh(np.array(devices), ("samples",))
-
-
 def one_ahead(
     plan: Plan, parts: Iterator[tuple[int, int]], centre: Vector3, size: Size, keep: bool
 ) -> Iterator[tuple[int, int, Drawn]]:
@@ -374,7 +381,7 @@ def one_ahead(
     waiting = None
     for first, count in parts:
         part = Part.of(first, count, size)
-        drawn = draw_chunk(plan.fixes, draw_lines(plan.lines, part, size), part, centre, size, keep)
+        drawn = draw_chunk(plan.sent_fixes, draw_lines(plan.sent_lines, part, size), part, centre, size, keep)
         if waiting is not None:
             yield waiting
         waiting = first, count, drawn

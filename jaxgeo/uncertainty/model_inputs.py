@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._arguments import check_on_image, check_terrain, checked_air, checked_observation, no_fix_because
-from jaxgeo._compile import quick_filter_jit, quick_jit
+from jaxgeo._compile import is_direct, quick_filter_jit, quick_jit
 from jaxgeo._intersection import FIRST_HIT, has_point, met_apart, met_by, touched_by
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
@@ -180,7 +180,7 @@ class ModelInputs(Record):
 
     def nominal_fix(self, search: AbstractSearch) -> NominalFix:
         """Nominal fix of the observation, without derivatives."""
-        inputs = jax.lax.stop_gradient(self)
+        inputs = self if is_direct() else jax.lax.stop_gradient(self)
         ray, status = _nominal_sightline(inputs)
         return _nominal_fix(inputs, *met_apart(ray, status, inputs.terrain, search, inputs.air))
 

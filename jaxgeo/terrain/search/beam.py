@@ -20,9 +20,9 @@ from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-PLACES = 1024  # sample ranges along the cone at which the ground below is tested
+PLACES = 512  # sample ranges along the cone at which the ground below is tested
 BENT = 1.1  # safety factor on the grid map's slope at one point, over the cone
-BINS = 32  # on either axis across the cone
+BINS = 24  # on either axis across the cone
 LEAST_DEEPENING = 0.2  # m of height per m: steeper rays gain little from their own rise
 WIDEST = 20  # dyadic level of cells: no terrain has more
 
