@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -48,12 +49,13 @@ def checked_exposure(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tupl
         )
     if isinstance(shot, Shot) and time is not None:
         raise ValueError("time goes with a Trajectory; a Shot is a moment already. Leave one of them out.")
-    sensor, shot = as_float64(sensor, "sensor"), as_float64(shot, "shot")
+    moment: Any = 0.0 if time is None else time
+    sensor, shot, moment = as_float64((sensor, shot, moment), ("sensor", "shot", "time"))
     if isinstance(shot, Trajectory) and jnp.ndim(shot.times) != 1:
         raise ValueError(f"shot must be one trajectory; its times have the shape {shot.times.shape}. Use jax.vmap.")
     position = shot.pose.position if isinstance(shot, Shot) else shot.poses.position
     check_latitude(position, "shot.pose.position")
-    moment = jnp.asarray(as_float64(0.0 if time is None else time, "time"))
+    moment = moment if isinstance(moment, jax.Array) else jnp.asarray(moment)
     if moment.shape != ():
         raise ValueError(f"time must be one number in s; got shape {moment.shape}. For many images use jax.vmap.")
     return sensor, shot, moment

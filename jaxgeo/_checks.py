@@ -67,11 +67,12 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def as_float64(tree: T, name: str) -> T:
+def as_float64(tree: T, name: str | tuple[str, ...]) -> T:
     """`tree` with every number as a float64 array; integers and Python numbers are promoted.
 
-    `name` is how messages call the argument. Integer arrays that index (static or int8 statuses) do not belong here.
-    Raises `RuntimeError` with 64-bit floats off, `TypeError` on any other float or complex dtype.
+    `name` is how messages call the argument; several names, if `tree` is a tuple of arguments. Integer arrays that index
+    (static or int8 statuses) do not belong here. Raises `RuntimeError` with 64-bit floats off, `TypeError` on any other
+    float or complex dtype.
     """
     require_x64()
     leaves, structure = jax.tree.flatten(tree)
@@ -90,7 +91,7 @@ class _Host(NamedTuple):
     values: np.ndarray
 
 
-def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str) -> Any:
+def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str | tuple[str, ...]) -> Any:
     if not (eqx.is_array_like(leaf) or isinstance(leaf, np.generic)):
         return leaf
     dtype = np.asarray(leaf).dtype if isinstance(leaf, bool | int | float | complex) else leaf.dtype
@@ -100,7 +101,10 @@ def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str) -> Any:
         if isinstance(leaf, jax.Array) or not trace_state_clean():
             return jnp.asarray(leaf, jnp.float64)
         return _Host(np.array(leaf, np.float64))
-    where = f"{name}{jax.tree_util.keystr(jax.tree_util.tree_flatten_with_path(tree)[0][number][0])}"
+    path = jax.tree_util.tree_flatten_with_path(tree)[0][number][0]
+    if isinstance(name, tuple):
+        name, path = name[path[0].idx], path[1:]
+    where = f"{name}{jax.tree_util.keystr(path)}"
     raise TypeError(
         f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
         f"the metres. Make it float64 where it is read or created, e.g. np.asarray(x, np.float64)."

@@ -52,6 +52,8 @@ def test_other_floats_are_refused_by_name(dtype):
     tree = {"pose": Geodetic(lat=0.5, lon=np.zeros(3, dtype), height=0.0)}
     with pytest.raises(TypeError, match=r"shot\['pose'\]\.lon has dtype .*computes in float64.*np\.float64"):
         as_float64(tree, "shot")
+    with pytest.raises(TypeError, match=r"^shot\['pose'\]\.lon has dtype "):
+        as_float64((1.0, tree, 2.0), ("time", "shot", "uv"))
 
 
 def test_what_is_not_a_number_passes_untouched():

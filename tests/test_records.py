@@ -57,6 +57,19 @@ class WithoutJax(pickle.Pickler):
         return NotImplemented
 
 
+def test_bound_methods_are_those_of_equinox() -> None:
+    dem = looks.dem()
+    found, expected = dem.height_at, eqx.Module.__getattribute__(dem, "height_at")
+    assert vars(found).keys() == vars(expected).keys()
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    assert found.__name__ == "height_at"
+    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
+    height = float(expected(place))
+    assert 0.0 < height < 9000.0
+    assert eqx.filter_jit(found)(place) == height
+    assert eqx.filter_jit(lambda method: method(place))(found) == height
+
+
 def without_jax(record: Any) -> bytes:
     stream = io.BytesIO()
     WithoutJax(stream, protocol=pickle.HIGHEST_PROTOCOL).dump(record)
@@ -193,7 +206,7 @@ def test_worker_processes_get_all_digits(pool: Any, way: str, monkeypatch: pytes
         jaxgeo.enable_x64()
         assert os.environ["JAX_ENABLE_X64"] == "1"
     how = {"initializer": jaxgeo.enable_x64} if way == "initializer" else {}
-    place = looks.pose().position
+    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
     assert in_worker(lambda: pool(**how), place) == digits(place)
 
 
@@ -212,7 +225,7 @@ def nobody_says(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.costly
 @pytest.mark.parametrize("pool", [spawned, forkserver, loky])
 def test_new_workers_run_from_the_first_task(pool: Any, nobody_says: None) -> None:
-    place = looks.pose().position
+    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
     assert in_worker(pool, place) == digits(place)
 
 
@@ -259,7 +272,7 @@ def test_workers_that_are_meant_to_have_32_bits_say_so(
 def test_joblib_runs_in_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     jaxgeo.enable_x64()
-    place = looks.pose().position
+    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
     found = joblib.Parallel(n_jobs=2, backend="loky")(joblib.delayed(digits)(place) for _ in range(4))
     assert found == [digits(place)] * 4
 
@@ -271,7 +284,7 @@ FOR_JOBLIB = "joblib.Parallel(n_jobs=2, initializer=jaxgeo.enable_x64)"
 def test_joblib_runs_as_its_page_says(nobody_says: None, project_root: pathlib.Path) -> None:
     assert FOR_JOBLIB in (project_root / "docs" / "howto" / "batches.md").read_text(encoding="utf-8")
     parallel = eval(FOR_JOBLIB, {"joblib": joblib, "jaxgeo": jaxgeo})
-    place = looks.pose().position
+    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
     assert parallel([joblib.delayed(digits)(place)] * 2) == [digits(place)] * 2
 
 

@@ -192,7 +192,16 @@ def _own_words(key: Any) -> Any:
     words = concrete(jax.random.key_data(key))
     if words is None:
         return jax.random.key_data(jax.random.fold_in(key, OWN))
-    return threefry(np.asarray(words)[:, None], *np.array([[0], [OWN]], np.uint32))
+    return _known_words(*map(int, words))
+
+
+@functools.lru_cache(maxsize=64)
+def _known_words(first: int, second: int) -> Any:
+    """`_own_words` of the words of a key."""
+    words: Any = threefry(np.array([[first], [second]], np.uint32), *np.array([[0], [OWN]], np.uint32))
+    for word in words:
+        word.flags.writeable = False
+    return words
 
 
 def _of_points(own: Any, size: int) -> tuple[Any, Any]:

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -36,14 +37,14 @@ class Replicated(Record):
     def of(cls, tree: Any, devices: Sequence[Any]) -> Replicated:
         """The tree on these devices; large arrays that are there already stay."""
         leaves, form = jax.tree.flatten(tree)
-        is_joined = lambda leaf: leaf.nbytes < SMALL and not on_accelerator(devices)  # noqa: E731
+        are_joined = not on_accelerator(devices)
         sent: list[Any] = []
         of_kind: dict[Any, tuple[int, list[np.ndarray]]] = {}
         places: list[Any] = []
         for leaf in leaves:
             if not eqx.is_array(leaf):
                 places.append(leaf)
-            elif not is_joined(leaf):
+            elif not are_joined or leaf.nbytes >= SMALL or jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
                 places.append((len(sent), 0, None))
                 sent.append(leaf)
             else:
