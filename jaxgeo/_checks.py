@@ -70,9 +70,9 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
 def as_float64(tree: T, name: str | tuple[str, ...]) -> T:
     """`tree` with every number as a float64 array; integers and Python numbers are promoted.
 
-    `name` is how messages call the argument; several names, if `tree` is a tuple of arguments. Integer arrays that index
-    (static or int8 statuses) do not belong here. Raises `RuntimeError` with 64-bit floats off, `TypeError` on any other
-    float or complex dtype.
+    `name` is how messages call the argument; several names, if `tree` is a tuple of arguments. Integer arrays that
+    index (static or int8 statuses) do not belong here. Raises `RuntimeError` with 64-bit floats off, `TypeError` on any
+    other float or complex dtype.
     """
     require_x64()
     leaves, structure = jax.tree.flatten(tree)
