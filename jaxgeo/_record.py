@@ -7,7 +7,7 @@ import os
 import sys
 import types
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, no_type_check
 
 import equinox as eqx
 import jax
@@ -50,6 +50,7 @@ class Record(eqx.Module):
 
     if not TYPE_CHECKING:
 
+        @no_type_check  # each access would be checked in tests
         def __getattribute__(self, name: str) -> Any:
             """As an `equinox.Module`, whose bound methods are pytrees; it takes 20 us and more to make one."""
             found = _attribute(self, name)
@@ -69,6 +70,7 @@ class _Empty(eqx.Module):
 _BoundMethod: Any = type(_Empty().method)
 
 
+@no_type_check
 def _bound(function: Any, record: Any) -> Any:
     """The bound method that equinox makes, without its checks."""
     method = object.__new__(_BoundMethod)

@@ -78,8 +78,8 @@ class Plan(NamedTuple):
 
     lines: LinePlan
     fixes: FixPlan
-    sent_lines: Any = None
-    sent_fixes: Any = None
+    sent_lines: LinePlan | Replicated
+    sent_fixes: FixPlan | Replicated
 
 
 class Size(NamedTuple):
@@ -169,19 +169,19 @@ def make_plan(
     seeds = lambda key: draws.seeds(key, model.size, leading_of(model))  # noqa: E731
     lines = LinePlan(inputs, model, roots, rotation, draws, seeds(key), places)
     fixes = FixPlan(nominal, search, common_ground(inputs, places))
-    plan = Plan(lines, fixes)
+    there = (lines, fixes)
     if not _is_default(size.devices):  # once, not per chunk: the terrain may be large
-        plan = large_on_all(plan, size.devices)
-    of_trial = _sent(plan.lines._replace(seeds=seeds(first_key())), size)
+        there = large_on_all(there, size.devices)
+    of_trial = _sent(there[0]._replace(seeds=seeds(first_key())), size)
     trial = draw_lines(of_trial, Part.of(0, TRIALS, size), size, TRIALS)
     if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
         trial = jax.tree.map(lambda x: np.asarray(_first_of(x, TRIALS, size)), trial)
     found = search_of_lines(search, inputs, nominal, trial)
     if isinstance(draws, Sobol):
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
-    sent = plan.lines._replace(rotation=rotation), plan.fixes._replace(search=found)
     lines, fixes = lines._replace(rotation=rotation), fixes._replace(search=found)
-    return Plan(lines, fixes, *(_sent(part, size) for part in sent)), size
+    sent_lines = _sent(there[0]._replace(rotation=rotation), size)
+    return Plan(lines, fixes, sent_lines, _sent(there[1]._replace(search=found), size)), size
 
 
 def _is_default(devices: tuple[Any, ...]) -> bool:
@@ -277,9 +277,9 @@ def _draw_lines(plan: Any, part: Part, steps: HostIndex, size: Size) -> Perturbe
     plan = whole(plan)
 
     def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part, steps: HostIndex) -> PerturbedLines:
-        whole = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
+        full = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
         first = _first_of_device(device[0], part, size.block)
-        return _by_blocks(_lines_of_step, steps, (size.step, size.capacity), first, whole)[0]
+        return _by_blocks(_lines_of_step, steps, (size.step, size.capacity), first, full)[0]
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part, steps)
 
