@@ -62,14 +62,6 @@ class Record(eqx.Module):
 _attribute = object.__getattribute__
 
 
-class _Empty(eqx.Module):
-    def method(self) -> None:
-        """A method to see what equinox makes of a bound one."""
-
-
-_BoundMethod: Any = type(_Empty().method)
-
-
 @no_type_check
 def _bound(function: Any, record: Any) -> Any:
     """The bound method that equinox makes, without its checks."""
@@ -81,13 +73,20 @@ def _bound(function: Any, record: Any) -> Any:
     return method
 
 
-def _is_bound_so() -> bool:
-    """Whether this version of equinox makes the same bound methods as `_bound`."""
-    usual = _Empty().method
-    return vars(usual) == vars(_bound(_Empty.method, usual.__self__))
+def _bound_by_equinox() -> Any:
+    """A bound method that equinox makes."""
+
+    class Empty(eqx.Module):
+        def method(self) -> None:
+            """Does nothing."""
+
+    return Empty().method
 
 
-_IS_BOUND_SO = _is_bound_so()
+_EXAMPLE = _bound_by_equinox()
+_BoundMethod: Any = type(_EXAMPLE)
+# whether this version of equinox makes the same bound methods as `_bound`
+_IS_BOUND_SO = vars(_EXAMPLE) == vars(_bound(_EXAMPLE.__func__, _EXAMPLE.__self__))
 
 
 def portable(cls: type[T]) -> type[T]:

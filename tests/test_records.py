@@ -206,7 +206,7 @@ def test_worker_processes_get_all_digits(pool: Any, way: str, monkeypatch: pytes
         jaxgeo.enable_x64()
         assert os.environ["JAX_ENABLE_X64"] == "1"
     how = {"initializer": jaxgeo.enable_x64} if way == "initializer" else {}
-    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
+    place = looks.pose().position
     assert in_worker(lambda: pool(**how), place) == digits(place)
 
 
@@ -225,7 +225,7 @@ def nobody_says(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.costly
 @pytest.mark.parametrize("pool", [spawned, forkserver, loky])
 def test_new_workers_run_from_the_first_task(pool: Any, nobody_says: None) -> None:
-    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
+    place = looks.pose().position
     assert in_worker(pool, place) == digits(place)
 
 
@@ -272,7 +272,7 @@ def test_workers_that_are_meant_to_have_32_bits_say_so(
 def test_joblib_runs_in_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     jaxgeo.enable_x64()
-    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
+    place = looks.pose().position
     found = joblib.Parallel(n_jobs=2, backend="loky")(joblib.delayed(digits)(place) for _ in range(4))
     assert found == [digits(place)] * 4
 
@@ -284,7 +284,7 @@ FOR_JOBLIB = "joblib.Parallel(n_jobs=2, initializer=jaxgeo.enable_x64)"
 def test_joblib_runs_as_its_page_says(nobody_says: None, project_root: pathlib.Path) -> None:
     assert FOR_JOBLIB in (project_root / "docs" / "howto" / "batches.md").read_text(encoding="utf-8")
     parallel = eval(FOR_JOBLIB, {"joblib": joblib, "jaxgeo": jaxgeo})
-    place = jaxgeo.locate(looks.sensor(), looks.shot(), looks.UV, dem).position
+    place = looks.pose().position
     assert parallel([joblib.delayed(digits)(place)] * 2) == [digits(place)] * 2
 
 

@@ -29,6 +29,7 @@ ORDER = (
     "are_my_errors_true",
     "accuracy_map",
     "overlap_and_pointing",
+    "when_to_expose",
     "strips_in_noise",
     "sweeping_camera",
     "pose_from_fixes",
