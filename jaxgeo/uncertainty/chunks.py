@@ -100,7 +100,7 @@ class Size(NamedTuple):
     def of(cls, count: int, chunk: int, devices: tuple[Any, ...]) -> Size:
         """The size for chunks of at most `chunk` of `count` samples; one for many counts."""
         is_long_run = count > LONG_RUN * len(devices) or by_device(False, True, devices)
-        block = block_size(devices)
+        block = block_size(devices[:1] if is_long_run else devices)  # of many, little padding matters little
         blocks = lambda samples: -(-samples // (len(devices) * block))  # noqa: E731
         most = max((MANY if is_long_run else FEW) // block, 1)
         return cls(block * max(min(blocks(chunk), most), 1), devices, is_long_run, block)
