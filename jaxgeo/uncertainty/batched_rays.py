@@ -23,9 +23,7 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sightline
 from jaxgeo.uncertainty.sources.base import Error
 
-LANES = 64  # a batch of a multiple of so many lines of sight needs no padding in the search
-USUAL = 10_000  # samples, whose blocks have little padding on a few devices
-BLOCK = 3392  # lines of sight formed and searched together, at least
+BLOCK = 3392  # lines of sight formed and searched together: a multiple of 64, so that the search needs no padding
 STAGE = BLOCK // 2  # lines of sight per step of forming them; intermediate results fit into the cache of a core
 BLOCK_ACCELERATOR = 2**20  # the same on an accelerator, in one step
 TRIALS = 1024
@@ -47,9 +45,7 @@ class PerturbedLines(NamedTuple):
 
 def block_size(devices: Sequence[Any] = ()) -> int:
     """Lines of sight formed and searched together, on given devices or on the default one."""
-    share = -(-USUAL // max(len(devices), 1))
-    padded = LANES * -(-share // (LANES * max(round(share / BLOCK), 1)))
-    return by_device(max(padded, BLOCK), BLOCK_ACCELERATOR, devices)
+    return by_device(BLOCK, BLOCK_ACCELERATOR, devices)
 
 
 def perturbed_lines(model: ErrorModel, inputs: ModelInputs, places: Any, stages: Stages, each: Array) -> PerturbedLines:

@@ -25,6 +25,7 @@ from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
+    STAGE,
     TRIALS,
     PerturbedLines,
     Stages,
@@ -94,13 +95,13 @@ class Size(NamedTuple):
     @property
     def step(self) -> int:
         """Lines of sight that are formed together; a block is a whole number of them."""
-        return by_device(self.block // (2 * -(-self.block // BLOCK)), self.block, self.devices)
+        return STAGE if self.block == BLOCK else self.block
 
     @classmethod
     def of(cls, count: int, chunk: int, devices: tuple[Any, ...]) -> Size:
         """The size for chunks of at most `chunk` of `count` samples; one for many counts."""
         is_long_run = count > LONG_RUN * len(devices) or by_device(False, True, devices)
-        block = block_size(devices[:1] if is_long_run else devices)  # of many, little padding matters little
+        block = block_size(devices)
         blocks = lambda samples: -(-samples // (len(devices) * block))  # noqa: E731
         most = max((MANY if is_long_run else FEW) // block, 1)
         return cls(block * max(min(blocks(chunk), most), 1), devices, is_long_run, block)

@@ -57,7 +57,7 @@ def drawn_together(draw: Callable[[int, int], Sampled], first: int, count: int, 
 
 def divided(first: int, count: int, processes: int) -> list[tuple[int, int]]:
     """(first sample, number of samples) of each process, in whole blocks if possible."""
-    share, block = -(-count // processes), block_size(jax.local_devices())
+    share, block = -(-count // processes), block_size()
     ends = [first + min(share * (number + 1), count) for number in range(processes)]
     whole = [end if end == first + count else -(-end // block) * block for end in ends]
     ends = [min(end, first + count) for end in whole]
