@@ -108,7 +108,8 @@ class Size(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Part of a sampling: the first sample, the number of samples, and how many blocks of them a device draws."""
+    """Part of a sampling: the first sample, the number of samples, and how many blocks of them a device draws at most;
+    the last devices draw those that are left."""
 
     first: HostIndex
     count: HostIndex
@@ -121,9 +122,13 @@ class Part(NamedTuple):
 
 
 def blocks_per_device(first: int, count: int, size: Size) -> int:
-    """Number of blocks of a part that each device draws."""
-    blocks = -(-(first + count) // size.block) - first // size.block
-    return -(-blocks // len(size.devices))
+    """Number of blocks of a part that each device draws at most."""
+    return -(-_blocks_of(first, count, size.block) // len(size.devices))
+
+
+def _blocks_of(first: Any, count: Any, block: int) -> Any:
+    """Number of blocks of a part."""
+    return -(-(first + count) // block) - first // block
 
 
 class Drawn(NamedTuple):
@@ -222,7 +227,7 @@ def error_stages(draws: AbstractDraws, key: Any, model: ErrorModel, roots: tuple
 
 
 def draw_lines(plan: LinePlan | Replicated, part: Part, size: Size, enough: int | None = None) -> PerturbedLines:
-    """Perturbed lines of sight of the blocks of a part: `part.share` blocks on each device, or the first `enough`."""
+    """Perturbed lines of sight of the blocks of a part, or on each device the first `enough`."""
     steps = int(part.share) * (size.block // size.step) if enough is None else -(-enough // size.step)
     return (_draw_lines_long if size.is_long_run else _draw_lines_short)(plan, part, np.asarray(steps), size)
 
@@ -280,7 +285,8 @@ def _draw_lines(plan: Any, part: Part, steps: HostIndex, size: Size) -> Perturbe
     def drawn(device: Int[Array, "1"], arrays: LinePlan, part: Part, steps: HostIndex) -> PerturbedLines:
         full = arrays._replace(places=plan.places)  # numbers, which would be arrays on each device
         first = _first_of_device(device[0], part, size.block)
-        return _by_blocks(_lines_of_step, steps, (size.step, size.capacity), first, full)[0]
+        own = jnp.minimum(steps, _blocks_of_device(device[0], part, size.block) * (size.block // size.step))
+        return _by_blocks(_lines_of_step, own, (size.step, size.capacity), first, full)[0]
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)),), plan._replace(places=None), part, steps)
 
@@ -290,8 +296,8 @@ def _draw_chunk(plan: Any, lines: PerturbedLines, part: Part, centre: Vector3, s
 
     def drawn(device: Int[Array, "1"], lines: PerturbedLines, plan: FixPlan, part: Part, centre: Vector3) -> Drawn:
         args = _first_of_device(device[0], part, size.block), lines, plan, part, centre, keep
-        blocks = size.block, size.capacity
-        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, part.share, blocks, *args)
+        blocks, sizes = _blocks_of_device(device[0], part, size.block), (size.block, size.capacity)
+        (radii, statuses, errors), moments = _by_blocks(_fixes_of_block, blocks, sizes, *args)
         return Drawn(moments[None, :, :], radii, statuses, errors)
 
     return _on_each(drawn, size.devices, (jnp.arange(len(size.devices)), lines), plan, part, centre)
@@ -335,6 +341,12 @@ def _fixes_of_block(
 def _first_of_device(device: Index, part: Part, block: int) -> Index:
     """Number of the first sample of a device's share; blocks begin at multiples of their size."""
     return (jnp.asarray(part.first) // block + device * part.share) * block
+
+
+def _blocks_of_device(device: Index, part: Part, block: int) -> Index:
+    """Number of blocks that a device draws."""
+    left = _blocks_of(jnp.asarray(part.first), part.count, block) - device * part.share
+    return jnp.clip(left, 0, part.share)
 
 
 def _by_blocks(function: Any, blocks: HostIndex, size: tuple[int, int], *args: Any) -> tuple[Any, Any]:

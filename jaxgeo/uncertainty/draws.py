@@ -96,7 +96,7 @@ class Random(AbstractDraws):
         return uniform, _polar, functools.partial(_normal, size=size)
 
     def seeds(self, key: Any, size: int, leading: int = 0) -> Seeds:
-        return key if isinstance(key, Seeds) else Seeds(_own_words(key))
+        return key if isinstance(key, Seeds) else Seeds(_seeds(key, 0).own)
 
 
 class Sobol(AbstractDraws):
@@ -124,7 +124,7 @@ class Sobol(AbstractDraws):
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Vector:
             _check(index, size, self.most)
-            return self._points(_of_points(_own_words(key), size), jnp.asarray(index), size)
+            return self._points(_seeds(key, size).of_points, jnp.asarray(index), size)
 
         return uniform, normal_quantile
 
@@ -143,10 +143,7 @@ class Sobol(AbstractDraws):
         return uniform, polar, normal
 
     def seeds(self, key: Any, size: int, leading: int) -> Seeds:
-        if isinstance(key, Seeds):
-            return key
-        own = _own_words(key)
-        return Seeds(own, _of_points(own, 2 * _pairs(size, leading)))
+        return key if isinstance(key, Seeds) else _seeds(key, 2 * _pairs(size, leading))
 
     def trial(self, count: int, size: int, leading: int) -> np.ndarray:
         """The first samples (count, size) of `sample_stages` of the key 0, by NumPy."""
@@ -184,30 +181,35 @@ def _pairs(size: int, leading: int) -> int:
     return -(-min(size, leading) // 2)
 
 
-def _own_words(key: Any) -> Any:
-    """The words of `jax.random.fold_in(key, OWN)`, in NumPy if the key is known."""
+def _seeds(key: Any, axes: int) -> Seeds:
+    """The seeds of a key with `axes` of Sobol points, in NumPy if the key is known.
+
+    Their own words are those of `jax.random.fold_in(key, OWN)`.
+    """
     kind = str(jax.random.key_impl(key))
     if kind != KIND:
         raise ValueError(f"key must be of the kind {KIND}, as jax.random.key(0) is by default; got {kind}.")
     words = concrete(jax.random.key_data(key))
-    if words is None:
-        return jax.random.key_data(jax.random.fold_in(key, OWN))
-    return _known_words(*map(int, words))
+    if words is not None:
+        return _known_seeds(*map(int, words), axes)
+    own = jax.random.key_data(jax.random.fold_in(key, OWN))
+    return Seeds(own, _of_points(own, axes))
 
 
 @functools.lru_cache(maxsize=64)
-def _known_words(first: int, second: int) -> Any:
-    """`_own_words` of the words of a key."""
-    words: Any = threefry(np.array([[first], [second]], np.uint32), *np.array([[0], [OWN]], np.uint32))
-    for word in words:
+def _known_seeds(first: int, second: int, axes: int) -> Seeds:
+    """`_seeds` of the words of a key."""
+    own: Any = threefry(np.array([[first], [second]], np.uint32), *np.array([[0], [OWN]], np.uint32))
+    seeds = Seeds(own, _of_points(own, axes))
+    for word in jax.tree.leaves(seeds):
         word.flags.writeable = False
-    return words
+    return seeds
 
 
-def _of_points(own: Any, size: int) -> tuple[Any, Any]:
+def _of_points(own: Any, axes: int) -> tuple[Any, Any]:
     """The two words of each axis of Sobol points."""
-    axes = np.uint32(SEEDS) + np.arange(size, dtype=np.uint32)
-    return threefry(own, np.zeros(size, np.uint32), axes)
+    numbers = np.uint32(SEEDS) + np.arange(axes, dtype=np.uint32)
+    return threefry(own, np.zeros(axes, np.uint32), numbers)
 
 
 def _random_pairs(own: Any, index: Any, size: int) -> Pairs:
