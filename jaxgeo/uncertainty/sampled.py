@@ -85,7 +85,8 @@ def sample(
 
     - Parts: samples `first` to `first + count - 1` of the key are drawn, the same ones to the last digit whatever the
       part and the chunk, so that `sample(..., count=100).merge(sample(..., first=100, count=100))` is
-      `sample(..., count=200)`. Between numbers of devices they may differ by rounding, 1e-8 m.
+      `sample(..., count=200)`. They may differ by rounding, 1e-8 m, between numbers of devices, and between calls for
+      up to 67 840 samples per device and for more, which have programs of their own.
     - `summary` keeps counts of radii in bins in place of the radii: memory is constant, and quantiles are off by less
       than 0.0061 % (see `RadiusHistogram`).
     - Several processes of `jax.distributed` share the samples, unless `devices` are given: each draws a part on its

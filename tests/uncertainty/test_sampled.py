@@ -18,7 +18,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
 from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, compare, propagate, sample, sources
-from jaxgeo.uncertainty.chunks import BLOCK, Size, make_plan
+from jaxgeo.uncertainty.chunks import BLOCK, LONG_RUN, Size, make_plan
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
@@ -206,6 +206,19 @@ def test_requests_that_make_no_sense(options: dict, message: str) -> None:
 def test_no_fix_no_samples() -> None:
     with pytest.raises(ValueError, match="rises_away"):
         sample(SENSOR, shot(20.0), (400.0, 300.0), GROUND, MODEL, key=KEY)
+
+
+@pytest.mark.slow
+def test_many_samples_begin_with_the_few() -> None:
+    """Up to rounding, as they have a program of their own; those of its parts are equal to the last digit."""
+    scene = looks.sensor(), looks.shot(), looks.UV, looks.dem(), looks.few_sources()
+    most = LONG_RUN * jax.local_device_count()
+    few = sample(*scene, key=KEY, count=8000, keep=True)
+    many = sample(*scene, key=KEY, count=most + 1, keep=True)
+    np.testing.assert_allclose(many.errors_enu[:8000], few.errors_enu, rtol=0, atol=1e-8)  # m
+    more = sample(*scene, key=KEY, first=2 * BLOCK + 5, count=most + 9, keep=True)
+    np.testing.assert_array_equal(more.errors_enu[: -2 * BLOCK - 13], many.errors_enu[2 * BLOCK + 5 :])
+    assert f"{LONG_RUN:,}".replace(",", " ") in sample.__doc__
 
 
 @pytest.mark.slow
