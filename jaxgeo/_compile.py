@@ -119,7 +119,8 @@ def quick_filter_jit(function: T) -> T:
 
 
 def one_program(function: T) -> T:
-    """`function` as one program where it is called directly, in place of one for each operation; elsewhere as it is.
+    """`function` as one program where it is called directly, also under `vmap`, in place of one for each operation;
+    elsewhere as it is.
 
     Numbers of Python are part of the program, so pass arrays.
     """
@@ -127,7 +128,7 @@ def one_program(function: T) -> T:
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        return (whole if is_direct() else function)(*args, **options)
+        return (whole if is_direct() or _are_mapped((args, options)) else function)(*args, **options)
 
     return call  # pyright: ignore
 
@@ -173,6 +174,12 @@ def long_run_jit(function: T) -> T:
 def long_run_filter_jit(function: T) -> T:
     """`long_run_jit` for arguments that are not all arrays, as `equinox.filter_jit`."""
     return _quick(function, eqx.filter_jit, long_run_options)
+
+
+def _are_mapped(values: Any) -> bool:
+    """Whether the traced arrays are those that a `vmap` called directly maps."""
+    traced = [leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, Tracer)]
+    return bool(traced) and all(_is_mapped_once(leaf, traced[0]) for leaf in traced)
 
 
 class _Fixed:
@@ -273,7 +280,7 @@ class Batches:
         leaves: list[Any]
         leaves, structure = jax.tree.flatten(inputs)
         traced: list[Any] = [leaf for leaf in leaves if isinstance(leaf, Tracer)]
-        if not traced or not all(_is_mapped_once(leaf, traced[0]) for leaf in traced) or platform_of() != "cpu":
+        if not _are_mapped(traced) or platform_of() != "cpu":
             return None
         if not batch_options() or is_debugging():
             return None

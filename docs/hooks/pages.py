@@ -34,6 +34,7 @@ ORDER = (
     "sweeping_camera",
     "pose_from_fixes",
     "bundle_adjustment",
+    "blunders_and_weak_blocks",
     "images_without_a_map",
     "registration",
     "new_sensor",

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxgeo._checks import as_float64, check_is
+from jaxgeo._compile import batch_filter_jit
 from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.records import Names, as_names
@@ -80,7 +81,7 @@ _ARRAYS = tuple(name for name in Navigation.__dataclass_fields__ if name not in 
 
 def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
     """(perspective centres (n, 3) in the frame, R_frame_from_camera) of a batch of shots, from the navigation."""
-    sights = jax.vmap(sensor.sight)(as_float64(shots, "shots"))
+    sights = _sights(sensor, as_float64(shots, "shots"))
     R = np.asarray(frame.R_ecef_from_local).T
     return np.asarray(frame.from_ecef(sights.centre)), R @ np.asarray(sights.R_ecef_from_camera)
 
@@ -96,11 +97,11 @@ def navigation_of(
     """
     check_is(shots, Shot, "shots", "One Shot, whose fields hold an entry for each image.")
     count = np.shape(shots.time)[0]
-    stations = jax.vmap(Station.of)(as_float64(shots, "shots"))
+    stations, R_base_from_head = _stations(sensor, as_float64(shots, "shots"))
     R = np.asarray(frame.R_ecef_from_local).T
     level = sensor.gimbal.reference == "level"
     R_body, R_level = (R @ np.asarray(x) for x in (stations.R_ecef_from_body, stations.R_ecef_from_level))
-    R_base = np.asarray(jax.vmap(sensor.gimbal.R_base_from_head)(stations.gimbal_readings))
+    R_base = np.asarray(R_base_from_head)
     R_frame_from_enu = R @ np.asarray(jax.vmap(R_ecef_from_enu)(as_float64(shots.pose.position, "position")))
     by_position = information(sigma_position, count, "sigma_position", "m") @ np.swapaxes(R_frame_from_enu, 1, 2)
     turns = np.broadcast_to(np.eye(3), (count, 3, 3)) if level else _turn_by_angles(shots)
@@ -193,3 +194,14 @@ def _turn_by_angles(shots: Shot) -> np.ndarray:
     heading = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
     columns = [heading, [zero, np.cos(roll), -np.sin(roll)], [one, zero, zero]]
     return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
+
+
+@batch_filter_jit
+def _sights(sensor: Sensor, shots: Shot) -> Any:
+    return jax.vmap(sensor.sight)(shots)
+
+
+@batch_filter_jit
+def _stations(sensor: Sensor, shots: Shot) -> tuple[Any, Any]:
+    stations = jax.vmap(Station.of)(shots)
+    return stations, jax.vmap(sensor.gimbal.R_base_from_head)(stations.gimbal_readings)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxgeo._checks import as_float64, check_is
+from jaxgeo._compile import one_program
 from jaxgeo._numerics import dot, finite_or, value_and_slope
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
@@ -66,12 +67,7 @@ class ConstantHeight(AbstractTerrain):
 
     def height_at(self, position: Geodetic) -> Scalar:
         """Height of the surface in m at a latitude and longitude (the height of `position` is ignored)."""
-        position = as_float64(position, "position")
-        height = jnp.zeros_like(position.lat)
-        for _ in range(ROUNDS):
-            p_ecef = WGS84.to_ecef(Geodetic(lat=position.lat, lon=position.lon, height=height))
-            height = height - self.clearance(p_ecef, jnp.zeros(2, jnp.int32))
-        return height
+        return _height_at(self, as_float64(position, "position"))
 
     def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
         above = -self.clearance(p_ecef, jnp.zeros(2, jnp.int32))
@@ -108,3 +104,12 @@ def _bent_range(ellipsoid: Ellipsoid, ray: Ray, height: Scalar) -> tuple[Scalar,
     start = (jnp.zeros_like(height), jnp.ones_like(height, bool))
     distance, sinks = jax.lax.fori_loop(0, NEWTON_STEPS, refine, start)
     return distance, sinks & (jnp.abs(excess(distance)) <= CLOSE_ENOUGH)
+
+
+@one_program
+def _height_at(ground: ConstantHeight, position: Geodetic) -> Scalar:
+    height = jnp.zeros_like(position.lat)
+    for _ in range(ROUNDS):
+        p_ecef = WGS84.to_ecef(Geodetic(lat=position.lat, lon=position.lon, height=height))
+        height = height - ground.clearance(p_ecef, jnp.zeros(2, jnp.int32))
+    return height

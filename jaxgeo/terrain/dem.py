@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._checks import as_float64, concrete, require_x64
-from jaxgeo._compile import is_direct
+from jaxgeo._compile import is_direct, one_program
 from jaxgeo._numerics import all_finite, finite_or, safe_angle
 from jaxgeo._typing import ExtentField, Flag, FlagField, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
@@ -248,10 +248,7 @@ class Dem(AbstractTerrain):
 
         NaN outside the grid and over voids; differentiable in position and posts.
         """
-        rowcol = self.rowcol_at(position)
-        cell, is_known = self._known_cell(rowcol)
-        safe = jnp.where(is_known, rowcol, cell.astype(jnp.float64))
-        return jnp.where(is_known, self.surface(safe, cell), jnp.nan)
+        return _height_at(self, as_float64(position, "position"))
 
     def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
         rowcol, height = self.over(p_ecef)
@@ -296,17 +293,11 @@ class Dem(AbstractTerrain):
 
     def normal_at(self, position: Geodetic) -> Vector3:
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as `height_at`."""
-        position = as_float64(position, "position")
-        cell, is_known = self._known_cell(self.rowcol_at(position))
-        height = jnp.where(is_known, self.height_at(position), 0.0)
-        on_surface = Geodetic(lat=position.lat, lon=position.lon, height=height)
-        gradient = jax.grad(self.clearance)(WGS84.to_ecef(on_surface), cell)
-        normal = R_ecef_from_enu(position).T @ (gradient / jnp.linalg.norm(gradient))
-        return jnp.where(is_known, normal, jnp.nan)
+        return _normal_at(self, as_float64(position, "position"))
 
     def slope_at(self, position: Geodetic) -> Scalar:
         """Angle in rad between the surface and the horizontal at a latitude and longitude; NaN as `height_at`."""
-        return safe_angle(self.normal_at(position), jnp.array([0.0, 0.0, 1.0]))
+        return _slope_at(self, as_float64(position, "position"))
 
     def _known_cell(self, rowcol: Float[Array, "2"]) -> tuple[Int[Array, "2"], Flag]:
         cell = self.cell_of(jnp.where(jnp.isfinite(rowcol), rowcol, 0.0))
@@ -346,3 +337,26 @@ def _check_posts(known: np.ndarray, lowest: np.floating, highest: np.floating) -
         raise ValueError(f"all {known.size} posts are void: there is no terrain here.")
     if not np.isfinite(lowest) or not np.isfinite(highest):
         raise ValueError("posts must be finite or NaN (void); found an infinite height. Mark such posts in `void`.")
+
+
+@one_program
+def _height_at(dem: Dem, position: Geodetic) -> Scalar:
+    rowcol = dem.rowcol_at(position)
+    cell, is_known = dem._known_cell(rowcol)
+    safe = jnp.where(is_known, rowcol, cell.astype(jnp.float64))
+    return jnp.where(is_known, dem.surface(safe, cell), jnp.nan)
+
+
+@one_program
+def _normal_at(dem: Dem, position: Geodetic) -> Vector3:
+    cell, is_known = dem._known_cell(dem.rowcol_at(position))
+    height = jnp.where(is_known, dem.height_at(position), 0.0)
+    on_surface = Geodetic(lat=position.lat, lon=position.lon, height=height)
+    gradient = jax.grad(dem.clearance)(WGS84.to_ecef(on_surface), cell)
+    normal = R_ecef_from_enu(position).T @ (gradient / jnp.linalg.norm(gradient))
+    return jnp.where(is_known, normal, jnp.nan)
+
+
+@one_program
+def _slope_at(dem: Dem, position: Geodetic) -> Scalar:
+    return safe_angle(dem.normal_at(position), jnp.array([0.0, 0.0, 1.0]))
