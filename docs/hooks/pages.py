@@ -38,6 +38,7 @@ ORDER = (
     "images_without_a_map",
     "registration",
     "new_sensor",
+    "new_search",
     "many_frames",
 )
 NOTEBOOK_LINK = re.compile(r"\]\(((?:\.\./)+)notebooks/(\w+)\.ipynb\)")  # as a page links to one in the checkout
