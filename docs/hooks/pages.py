@@ -22,6 +22,7 @@ OWN = ("CONTRIBUTING.md", "CHANGELOG.md")
 FIRST = ("quickstart", "first_fix")  # then the others, as a reader may want them
 ORDER = (
     "terrain_searches",
+    "searches_compared",
     "error_budget",
     "linear_vs_sampled",
     "which_hill",
