@@ -33,6 +33,7 @@ ORDER = (
     "when_to_expose",
     "strips_in_noise",
     "sweeping_camera",
+    "rolling_shutter",
     "pose_from_fixes",
     "bundle_adjustment",
     "images_without_a_map",
