@@ -22,6 +22,7 @@ OWN = ("CONTRIBUTING.md", "CHANGELOG.md")
 FIRST = ("quickstart", "first_fix")  # then the others, as a reader may want them
 ORDER = (
     "terrain_searches",
+    "searches_compared",
     "error_budget",
     "linear_vs_sampled",
     "which_hill",
@@ -32,6 +33,7 @@ ORDER = (
     "when_to_expose",
     "strips_in_noise",
     "sweeping_camera",
+    "rolling_shutter",
     "pose_from_fixes",
     "bundle_adjustment",
     "blunders_and_weak_blocks",
