@@ -33,6 +33,7 @@ ORDER = (
     "strips_in_noise",
     "sweeping_camera",
     "pose_from_fixes",
+    "wrong_point",
     "bundle_adjustment",
     "images_without_a_map",
     "registration",
