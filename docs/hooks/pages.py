@@ -37,6 +37,8 @@ ORDER = (
     "bundle_adjustment",
     "images_without_a_map",
     "registration",
+    "fixes_by_a_map",
+    "wrong_map",
     "new_sensor",
     "many_frames",
 )
