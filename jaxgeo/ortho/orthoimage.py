@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
+from jaxgeo._compile import one_program
 from jaxgeo._record import Record
 from jaxgeo.terrain.grid import AbstractGrid
 
@@ -64,10 +65,7 @@ class Orthoimage(Record):
 
     def grey(self) -> Float[Array, "rows cols"]:
         """The mean of all bands; unknown cells have the mean of the known ones."""
-        grey = jnp.mean(jnp.asarray(self.values, jnp.float64), axis=0)
-        known = jnp.asarray(self.known)
-        middle = jnp.sum(jnp.where(known, grey, 0.0)) / jnp.maximum(jnp.sum(known), 1)
-        return jnp.where(known, grey, middle)
+        return _grey(jnp.asarray(self.values, jnp.float64), jnp.asarray(self.known))
 
     def window(self, row: int, col: int, shape: tuple[int, int]) -> Orthoimage:
         """A window with its first cell at (row, col); cells beyond the edges are unknown and zero."""
@@ -107,3 +105,10 @@ def cell_side(grid: AbstractGrid) -> float:
 @eqx.filter_jit
 def _cell_size(grid: AbstractGrid) -> Float[Array, "2"]:
     return grid.cell_size()
+
+
+@one_program
+def _grey(values: Float[Array, "bands rows cols"], known: Bool[Array, "rows cols"]) -> Float[Array, "rows cols"]:
+    grey = jnp.mean(values, axis=0)
+    middle = jnp.sum(jnp.where(known, grey, 0.0)) / jnp.maximum(jnp.sum(known), 1)
+    return jnp.where(known, grey, middle)

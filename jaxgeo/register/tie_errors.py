@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_is, check_range, concrete
@@ -117,10 +118,10 @@ def checked_tie_errors(errors: Any, ties: TiePoints) -> TieErrors:
         check_is(errors.terrain_field, TerrainField, "tie_errors.terrain_field")
         errors.terrain_field.check_numbers()
     errors = as_float64(errors, "tie_errors")
-    place = concrete(ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None, :, :])
-    pixel = concrete(ties.pixel_sigma)
-    if place is None or pixel is None or pixel > 0.0:
+    of_ties, registration, pixel = map(concrete, (ties.covariance, errors.registration, ties.pixel_sigma))
+    if of_ties is None or registration is None or pixel is None or pixel > 0.0:
         return errors
+    place = of_ties + registration**2 * np.eye(2)
     exact = place[:, 0, 0] * place[:, 1, 1] - place[:, 0, 1] * place[:, 1, 0] <= 0.0
     if exact.any():
         raise ValueError(
