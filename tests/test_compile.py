@@ -20,6 +20,7 @@ import jaxgeo
 from jaxgeo import uncertainty as un
 from jaxgeo._compile import batch_options, long_run_options, one_program, quick_filter_jit, quick_jit, quick_options
 from jaxgeo._program_cache import forget_oldest
+from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.terrain import Bisection
 from jaxgeo.uncertainty import sources
 
@@ -34,6 +35,17 @@ folder = jaxgeo.keep_programs()
 x = float(jax.jit(lambda x: jnp.sin(x) * 3.0 + x)(jnp.asarray(2.0)))
 print(json.dumps([str(folder), x, len(read), jax.config.jax_compilation_cache_dir]))
 """
+
+
+COMPILED: list[str] = []  # of all of this process
+
+
+def _note(name: str, _: float, **__: Any) -> None:
+    if name.endswith("backend_compile_duration"):
+        COMPILED.append(name)
+
+
+jax.monitoring.register_event_duration_secs_listener(_note)
 
 
 @pytest.mark.parametrize("jit", [quick_jit, quick_filter_jit])
@@ -70,6 +82,37 @@ def test_one_program_serves_a_direct_call_and_a_derivative_is_of_each_operation(
     assert traced == [True], "traced once for three calls"
     assert float(jax.grad(cube)(x)) == 12.0
     assert float(jax.jit(cube)(x)) == 8.0
+
+
+def _heights(kind: str) -> tuple[Any, Any]:
+    place = jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.002, height=0.0)
+    if kind == "constant":
+        return jaxgeo.ConstantHeight(jnp.asarray(512.5)), place
+    grid = jaxgeo.terrain.TangentGrid.centred(place, spacing=(30.0, 30.0), shape=(11, 13))
+    return jaxgeo.Dem.from_array(np.random.default_rng(2).uniform(400.0, 500.0, (11, 13)), grid), place
+
+
+DIRECT = {
+    "height of a DEM": lambda: (lambda dem, place: dem.height_at(place), *_heights("dem")),
+    "normal of a DEM": lambda: (lambda dem, place: dem.normal_at(place), *_heights("dem")),
+    "slope of a DEM": lambda: (lambda dem, place: dem.slope_at(place), *_heights("dem")),
+    "a constant height": lambda: (lambda ground, place: ground.height_at(place), *_heights("constant")),
+    "positions, mapped": lambda: (jax.vmap(jaxgeo.WGS84.to_geodetic), 4e6 + 1e5 * np.arange(57.0).reshape(19, 3)),
+    "rotations, mapped": lambda: (jax.vmap(rotation_vector_from_R), np.broadcast_to(np.eye(3), (23, 3, 3))),
+}
+
+
+@pytest.mark.parametrize("name", DIRECT)
+def test_small_functions_are_at_most_one_program_each_where_they_are_called_directly(name: str) -> None:
+    """Where each operation is a program, these are dozens: seconds of a first answer."""
+    function, *args = DIRECT[name]()
+    before = len(COMPILED)
+    found = function(*args)
+    assert len(COMPILED) - before <= 1, "an operation is a program of its own"
+    whole = jax.jit(function)(*args)
+    assert len(COMPILED) > before, "compiled programs are not seen"
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
 def test_arguments_that_are_no_arrays_are_parts_of_a_filtered_program() -> None:
