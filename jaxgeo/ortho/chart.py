@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.ortho.cells import Cells, View, heights_at, level_of, projected, where_any
 from jaxgeo.sensor import Shot
@@ -45,7 +45,7 @@ class Charted(NamedTuple):
     """Sample cells of the tile, (n, 3): each with its neighbours one row and one column on, at its height."""
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def charted(view: View, corner: Float[Array, "2"], last: Float[Array, "2"]) -> Charted:
     """The chart of a tile with its first cell at `corner`, (row, col) of the grid, and its last at `corner + last`.
 

@@ -12,12 +12,12 @@ import dataclasses
 import threading
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32, Int
 
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84
@@ -99,7 +99,7 @@ class OpenSight:
             return self._least_sine
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _ground_of(view: View) -> Ground:
     assert isinstance(view.terrain, Dem)
     assert isinstance(view.motion, Shot)
@@ -240,7 +240,7 @@ def _stretches(strides: list[tuple[int, int, int]]) -> np.ndarray:
     return np.array(rows)
 
 
-@eqx.filter_jit
+@sized_filter_jit
 def _with_block(
     least_sine: Float32[Array, "rows cols"],
     ground: Ground,

@@ -145,8 +145,8 @@ def _passed(inputs: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"
         p_ecef = jnp.where(ahead, origin + jnp.where(ahead, near, 0.0) * direction, jnp.array([WGS84.a, 0.0, 0.0]))
         return grid.rowcol(WGS84.normal_and_height(p_ecef)[0]), ahead
 
-    both = [jax.vmap(lambda pixel, h=height: one(pixel, h))(uv) for height in (low, high)]
-    return jnp.concatenate([part[0] for part in both]), jnp.concatenate([part[1] for part in both])
+    places, ahead = jax.vmap(jax.vmap(one, (0, None)), (None, 0))(uv, jnp.stack([low, high]))
+    return places.reshape(-1, 2), ahead.reshape(-1)
 
 
 def _image(inputs: ModelInputs, p_ecef: Vector3) -> tuple[Float[Array, "2"], Array]:
