@@ -33,7 +33,7 @@ class Prior(Record):
     @classmethod
     def of(cls, model: ErrorModel, errors: TieErrors) -> Prior:
         """Prior without an earlier update: zero mean, with the covariance of the sources and of the map shift."""
-        return cls(jnp.zeros(model.size + 2), _covariance_of(model, as_float64(errors.shift, "shift")))
+        return cls(jnp.zeros(model.size + 2), _covariance_of(model, as_float64(errors.shift, "errors.shift")))
 
     def factor(self) -> Float[Array, "unknowns unknowns"]:
         """F with F F' = covariance, from scaled unknowns; zero columns for directions without uncertainty."""
