@@ -33,8 +33,9 @@ from peers.ours import dem_of, rays_of
 
 import jaxgeo
 from jaxgeo._compile import long_run_options
+from jaxgeo.ortho import Orthoimage, render
 from jaxgeo.terrain import TangentGrid
-from jaxgeo.uncertainty import presets
+from jaxgeo.uncertainty import ErrorModel, accuracy_map, presets, sources
 
 jaxgeo.enable_x64()
 SAME = 1e-6  # m
@@ -324,6 +325,85 @@ def accuracies(bench: Bench) -> list[Table]:
     return [table]
 
 
+def maps(bench: Bench) -> list[Table]:
+    """Accuracy of cells of the DEM as one image shows them, by linear propagation, and with samples where it fails."""
+    look = (*_view(bench), presets.li_2023(terrain_height=5.0))
+
+    def made(place: Any, step: int, **options: Any) -> Any:
+        with jax.default_device(place):
+            return accuracy_map(*jax.device_put(look, place), step=step, **options)
+
+    columns = [
+        Column("figures"),
+        Column("cells"),
+        Column("rate", "thousand/s", "higher"),
+        Column("compiling", "s", "lower"),
+    ]
+    columns += [Column("by the CPU", "thousand/s"), Column("other methods than a CPU's", "", "lower")]
+    table = Table("`accuracy_map` of one image", [*columns, Column("CE90 apart, of itself", "", "lower")])
+    for name, options, step, few in (("linear", {"sampling": None}, 8, 64), ("with samples", {}, 32, 64)):
+        if not bench.has_time():
+            table.notes.append("the time was spent")
+            break
+        expected, _, of_cpu = bench.measured(lambda few=few, options=options: made(bench.cpu, few, **options))
+        found, compiling, seconds = bench.measured(
+            lambda step=step, options=options: made(bench.place, step, **options)
+        )
+        count, fewer = (np.asarray(x.accuracy.method).size for x in (found, expected))
+        every = few // step
+        same = lambda x, every=every: np.asarray(x)[::every, ::every]  # noqa: E731
+        other = int(np.sum(same(found.accuracy.method) != np.asarray(expected.accuracy.method)))
+        apart = np.abs(same(found.accuracy.circular) / np.asarray(expected.accuracy.circular) - 1.0)
+        rates = 1e-3 * count / seconds, compiling, 1e-3 * fewer / of_cpu
+        table.rows.append([name, count, *rates, other, float(np.nanmax(apart))])
+    return [table]
+
+
+def scenes(bench: Bench) -> list[Table]:
+    """Images of an orthoimage over terrain, three bands."""
+    terrain, side = bench.job.terrain, 4001
+    centre = jaxgeo.Geodetic(lat=terrain.lat, lon=terrain.lon, height=0.0)
+    grid = TangentGrid.centred(centre, spacing=(15.0, 15.0), shape=(side, side))
+    reference = Orthoimage.of(np.random.default_rng(0).integers(1, 255, (3, side, side), np.uint8), grid)
+
+    def made(place: Any, look: Any) -> Any:
+        with jax.default_device(place):
+            sensor, shot, dem = jax.device_put(look, place)
+            return render(sensor, shot, jax.device_put(reference, place), dem)
+
+    columns = [Column("pixels"), Column("rate", "M pixels/s", "higher"), Column("compiling", "s", "lower")]
+    columns += [Column("by the CPU", "M pixels/s"), Column("other statuses than a CPU's", "", "lower")]
+    table = Table("`render` of an image of three bands", [*columns, Column("values off by more than 1", "", "lower")])
+    for size, is_compared in (((1500, 1000), True), ((6000, 4000), False)):
+        if not bench.has_time() or size[0] * size[1] > bench.largest:
+            table.notes.append(
+                f"{size[0]} x {size[1]} pixels: left out, for want of time or as larger than the largest batch"
+            )
+            continue
+        look = _view(bench, size)
+        found, compiling, seconds = bench.measured(lambda look=look: made(bench.place, look))
+        row: list[Any] = [size[0] * size[1], 1e-6 * size[0] * size[1] / seconds, compiling, None, None, None]
+        if is_compared:
+            expected, _, of_cpu = bench.measured(lambda look=look: made(bench.cpu, look))
+            off = np.abs(np.asarray(found.values) - np.asarray(expected.values)).max(axis=0) > 1.0
+            row[3:] = [
+                1e-6 * size[0] * size[1] / of_cpu,
+                int(np.sum(found.status != expected.status)),
+                int(np.sum(off)),
+            ]
+        table.rows.append(row)
+    return [table]
+
+
+def fields(bench: Bench) -> list[Table]:
+    """Samples of one pixel over terrain whose height errors are correlated in space."""
+    *few, _ = presets.li_2023(terrain_height=5.0).sources
+    field_ = sources.TerrainField.of_variograms(gaussian=[(5.0, 300.0)])
+    return [
+        _sampled(bench, "`sample` over a field of height errors", ErrorModel((*few, field_)), min(bench.samples, 10**7))
+    ]
+
+
 def calls(bench: Bench) -> list[Table]:
     """Time of single calls of one pixel, compiled before."""
     *look, dem = _view(bench)
@@ -362,8 +442,12 @@ def calls(bench: Bench) -> list[Table]:
 
 def samples(bench: Bench) -> list[Table]:
     """Monte Carlo samples of one pixel, radii counted in bins."""
-    sensor, shot, dem = _view(bench)
-    errors, uv = presets.li_2023(terrain_height=5.0), np.array([3000.0, 2000.0])
+    errors = presets.li_2023(terrain_height=5.0)
+    return [_sampled(bench, "`sample` of one pixel with `summary`", errors, bench.samples)]
+
+
+def _sampled(bench: Bench, title: str, errors: ErrorModel, most: int) -> Table:
+    (sensor, shot, dem), uv = _view(bench), np.array([3000.0, 2000.0])
 
     def drawn(count: int, place: Any, **options: Any) -> Any:
         with jax.default_device(place):
@@ -375,7 +459,7 @@ def samples(bench: Bench) -> list[Table]:
 
     columns = [Column("samples"), Column("rate", "M samples/s", "higher"), Column("compiling", "s", "lower")]
     columns += [Column("CE90", "m"), Column("CE90 of a CPU", "m")]
-    table = Table("`sample` of one pixel with `summary`", columns)
+    table = Table(title, columns)
     ways = {place: drawn(KEPT, place, keep=True) for place in dict.fromkeys((bench.cpu, bench.place))}
     expected, found = ways[bench.cpu], ways[bench.place]
     other, away = expected.codes != found.codes, np.linalg.norm(expected.errors_enu - found.errors_enu, axis=1)
@@ -385,7 +469,7 @@ def samples(bench: Bench) -> list[Table]:
         f"{KEPT} samples one by one: {int(other.sum())} have another status than a CPU's, {many} are {SAME:g} m "
         f"or more apart, the farthest {farthest:.1e} m"
     )
-    for count in sizes(bench.samples, 10_000):
+    for count in sizes(most, 10_000):
         if not bench.has_time():
             table.notes.append(f"{count:.0e} and more: the time was spent")
             break
@@ -393,7 +477,7 @@ def samples(bench: Bench) -> list[Table]:
         circular = result.circular_error(0.9).value
         same = drawn(count, bench.cpu, summary=True).circular_error(0.9).value if count == 1_000_000 else None
         table.rows.append([count, 1e-6 * count / seconds, compiling, circular, same])
-    return [table]
+    return table
 
 
 def ortho(bench: Bench) -> list[Table]:
@@ -469,8 +553,11 @@ PARTS: dict[str, Callable[[Bench], list[Table]]] = {
     "bent": bent,
     "batches": batches,
     "accuracies": accuracies,
+    "maps": maps,
+    "scenes": scenes,
     "calls": calls,
     "samples": samples,
+    "fields": fields,
     "ortho": ortho,
     "adjustment": adjustment,
 }

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from jaxgeo._typing import Flag, Numbers, Scalar, ScalarField
 
 T = TypeVar("T")
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples are spread unevenly in [0, 1)
 
 
 def dot(a: Any, b: Any) -> Scalar:
@@ -70,6 +71,18 @@ def safe_angle(a: Float[Array, "3"], b: Float[Array, "3"]) -> Scalar:
 def cross(a: Any, b: Any) -> tuple[Scalar, Scalar, Scalar]:
     """Cross product, by components (see `dot`)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def covariance_root(covariance: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """L with L L' = covariance, if that is positive semi-definite: principal axes as columns, the largest first.
+
+    A principal axis has no sign of its own, and libraries for CPUs and GPUs return different ones: here a sum of its
+    components with uneven weights is positive, so that L z is the same everywhere. Without derivatives.
+    """
+    values, axes = jnp.linalg.eigh(jax.lax.stop_gradient(covariance))
+    weights = 1.0 + jnp.arange(1, len(values) + 1) * GOLDEN % 1.0
+    signs = jnp.where(jnp.sum(weights[:, None] * axes, axis=0) < 0.0, -1.0, 1.0)
+    return (axes * (signs * jnp.sqrt(jnp.maximum(values, 0.0)))[None, :])[:, ::-1]
 
 
 def value_and_slope(function: Callable[[Scalar], Scalar], x: Scalar) -> tuple[Scalar, Scalar]:

@@ -9,6 +9,7 @@ import pytest
 
 from jaxgeo._numerics import (
     all_finite,
+    covariance_root,
     finite_or,
     implicit_root,
     larger,
@@ -117,3 +118,18 @@ def test_limits_are_those_of_numpy_and_keep_what_is_unknown(ours, theirs):
     apart = lambda x: (ours(x + 1e-6, 0.0) - ours(x - 1e-6, 0.0)) / 2e-6  # noqa: E731
     for one in (-2.0, 0.5, 2.0):
         assert float(jax.grad(ours)(one, 0.0)) == pytest.approx(float(apart(one)), abs=1e-9)
+
+
+@pytest.mark.parametrize("signs", [(1, 1, 1, 1, 1), (-1, -1, -1, -1, -1), (1, -1, -1, 1, -1)])
+def test_covariance_root_does_not_depend_on_the_signs_of_principal_axes(signs, monkeypatch):
+    """Those of an even field of heights are mirrored in themselves, so no component of an axis tells its sign."""
+    place = np.arange(5.0)
+    covariance = 4.0 * np.exp(-(((place[:, None] - place[None, :]) / 2.0) ** 2))
+    values, axes = np.linalg.eigh(covariance)
+    assert np.allclose(np.abs(axes), np.abs(axes[::-1]), atol=1e-9)
+    monkeypatch.setattr(jnp.linalg, "eigh", lambda _: (jnp.asarray(values), jnp.asarray(axes * np.array(signs))))
+    root = np.asarray(covariance_root(jnp.asarray(covariance)))
+    np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
+    assert np.all(np.diff(np.sum(root**2, axis=0)) <= 0.0)
+    monkeypatch.undo()
+    np.testing.assert_allclose(root, covariance_root(jnp.asarray(covariance)), atol=1e-12)

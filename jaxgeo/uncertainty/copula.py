@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._compile import one_program
+from jaxgeo._numerics import covariance_root
 from jaxgeo._typing import Numbers
 from jaxgeo.uncertainty.distributions import AbstractDistribution
 
@@ -56,8 +57,7 @@ def normal_correlation(correlation: Square, shapes: Sequence[Shape]) -> tuple[Sq
 
 def root_of_correlation(correlation: Square) -> Square:
     """L with rows of unit length and L L' close to a correlation; equal to it if that is positive semi-definite."""
-    values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(correlation))
-    root = (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]
+    root = covariance_root(correlation)
     return root / jnp.sqrt(jnp.sum(root**2, axis=1))[:, None]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, is_known
+from jaxgeo._numerics import covariance_root
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers, StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
@@ -264,8 +265,7 @@ def _root(source: AbstractSource) -> Float[Array, "..."]:
     """Square root of a source's covariance; its diagonal as a vector if the axes are independent."""
     if source.is_independent:
         return jnp.asarray(source.sigma)
-    values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(source.covariance()))
-    return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]  # largest variance first
+    return covariance_root(source.covariance())
 
 
 def _times_root(root: Root, normal: Error) -> Error:
