@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxgeo import uncertainty
 from jaxgeo._checks import enable_x64
+from jaxgeo._compile import compiler_options
 from jaxgeo._locate import at_range, intersect, locate, project
 from jaxgeo._program_cache import keep_programs
 from jaxgeo._renamed import renamed
@@ -108,6 +109,7 @@ __all__ = [
     "circular_error",
     "cluster",
     "compare",
+    "compiler_options",
     "coverage",
     "enable_x64",
     "in_batches",

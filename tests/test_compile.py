@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.core import Tracer
-from support.scenes import small_dem
+from support.scenes import local_ray, small_dem
 
 import jaxgeo
 from jaxgeo import uncertainty as un
@@ -301,3 +301,21 @@ def test_options_are_those_of_the_device_that_programs_run_on(monkeypatch: pytes
     assert [options() for options in (quick_options, batch_options, long_run_options)] == [{}, {}, {}]
     with jax.default_device(jax.devices("cpu")[0]):
         assert [options() for options in (quick_options, batch_options, long_run_options)] == on_cpu
+
+
+@pytest.mark.parametrize("runs", ["short", "long"])
+def test_options_for_a_jit_of_ones_own_change_no_more_than_rounding(runs: str) -> None:
+    ray, ground = local_ray(0.0, 0.0, 2000.0, azimuth=30.0, elevation=-40.0), jaxgeo.ConstantHeight(100.0)
+    usual, chosen = (jax.jit(jaxgeo.intersect, compiler_options=how) for how in (None, jaxgeo.compiler_options(runs)))
+    found, expected = chosen(ray, ground), usual(ray, ground)
+    assert int(found.status) == int(expected.status) == jaxgeo.Status.hit
+    np.testing.assert_allclose(found.ecef, expected.ecef, rtol=0.0, atol=1e-6)
+
+
+def test_options_for_a_jit_of_ones_own_are_short_or_long() -> None:
+    assert jaxgeo.compiler_options() == quick_options()
+    assert jaxgeo.compiler_options("long") == long_run_options()
+    jaxgeo.compiler_options()["xla_backend_optimization_level"] = 3  # a copy: of the caller's own
+    assert jaxgeo.compiler_options() == quick_options() != {"xla_backend_optimization_level": 3}
+    with pytest.raises(ValueError, match="runs must be one of short, long; got 'quick'"):
+        jaxgeo.compiler_options("quick")

@@ -32,6 +32,7 @@ ORDER = (
     "overlap_and_pointing",
     "when_to_expose",
     "strips_in_noise",
+    "overlap_for_noise",
     "sweeping_camera",
     "rolling_shutter",
     "pose_from_fixes",

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._blas_threads import one_thread
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._numerics import matmul3
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.arrays import Problem, free_columns
@@ -100,7 +100,7 @@ def two_step_boresight(
     return TwoStep(result, turn, arm, covariance, float(sigma0))
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _two_step(
     problem: Problem, matrix: Tridiagonal, observed: Observed, values: Values, mount: Int[Array, ""], with_lever: bool
 ) -> tuple[Array, Array, Array, Array]:

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._record import portable
 from jaxgeo._renamed import renamed_argument
 from jaxgeo.adjust.adjustment import Adjustment
@@ -229,7 +229,7 @@ def _observed_points(observed: Observing) -> tuple[np.ndarray, np.ndarray]:
     return weighted, np.where(weights > 0.0, weighted / np.where(weights > 0.0, weights, 1.0), 0.0)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _datum(problem: Any, values: Any, rows: Any) -> Datum:
     z, x = motions(problem, values)
     return Datum(jnp.einsum("dm,mnc->dnc", rows, z), jnp.einsum("dm,mir->dir", rows, x))

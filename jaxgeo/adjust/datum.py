@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
@@ -74,7 +74,7 @@ def _measured(problem: Problem) -> Array:
     return jnp.zeros(problem.free_point.shape[0]).at[problem.layout.row].max(there) > 0.0
 
 
-@batch_filter_jit
+@sized_filter_jit
 def observed_whole(problem: Problem, values: Values, control_root: Float[Array, " rows"]) -> tuple[Observing, Whole]:
     """Observations other than image points, and the motions of the whole that they constrain: one program for all that
     asks for either."""

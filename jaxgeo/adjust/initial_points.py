@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo.adjust.block import Block
 from jaxgeo.sensor import FrameCamera
 
@@ -93,6 +93,6 @@ def camera_rays(camera: FrameCamera, uv: np.ndarray) -> np.ndarray:
     return np.concatenate([np.asarray(_rays(camera, jnp.asarray(part, jnp.float64))) for part in parts])[: len(uv)]
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _rays(camera: FrameCamera, uv: jax.Array) -> jax.Array:
     return jax.vmap(camera.ray)(uv)[0]

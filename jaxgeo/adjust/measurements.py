@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgeo._compile import batch_filter_jit, one_program
+from jaxgeo._compile import one_program, sized_filter_jit
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.collinearity import pixel_linear, pixel_of
 from jaxgeo.adjust.layout import Layout
@@ -32,7 +32,7 @@ def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
     return jax.vmap(one, in_axes=(-1, -1, -1, 0, 0), out_axes=-1)(cameras, lens, ideal, layout.uv, layout.information)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def in_view(problem: Problem, values: Values) -> Bool[Array, " obs"]:
     """Flags of measurements whose point lies in front of the camera and in the field of its lens."""
     cameras, lens, R, offset = _of_measurements(problem, values)

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.records import Names, as_names
@@ -196,12 +196,12 @@ def _turn_by_angles(shots: Shot) -> np.ndarray:
     return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _sights(sensor: Sensor, shots: Shot) -> Any:
     return jax.vmap(sensor.sight)(shots)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _stations(sensor: Sensor, shots: Shot) -> tuple[Any, Any]:
     stations = jax.vmap(Station.of)(shots)
     return stations, jax.vmap(sensor.gimbal.R_base_from_head)(stations.gimbal_readings)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._blas_threads import one_thread
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
@@ -72,7 +72,7 @@ def posterior_of(
     )
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _apart(
     problem: Problem, points: Eliminated, matrix: Tridiagonal, motions: Motions, datum: Datum | None
 ) -> Posterior:
@@ -81,7 +81,7 @@ def _apart(
     return Posterior(factor, selected_inverse(factor), points, datum, weak)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _inverse(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> tuple[Factor, Tridiagonal]:
     if datum is not None:  # any weights on the motions make it regular and leave the results unchanged
         matrix = held(problem, matrix, datum)
@@ -99,7 +99,7 @@ def held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
     return eqx.tree_at(lambda m: m.diagonal, matrix, matrix.diagonal.at[middle].add(weighted))
 
 
-@batch_filter_jit
+@sized_filter_jit
 def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
     """Smallest ratio of an unknown's marginal to its conditional weight.
 
@@ -115,7 +115,7 @@ def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
     return jnp.min(jnp.where(jnp.isfinite(share), share, 0.0))  # the minimum of many may ignore NaN
 
 
-@batch_filter_jit
+@sized_filter_jit
 def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array, "n c c"]:
     """Covariance of each image's own columns; zero for fixed ones."""
     covariance = _of_images(problem, posterior.inverse)
@@ -128,7 +128,7 @@ def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array,
     return _transferred(transfer, covariance, G, H)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def covariance_of_shared(problem: Problem, posterior: Posterior) -> Float[Array, "s s"]:
     """Covariance of the shared parameters, the same in every datum; zero for fixed ones."""
     _, free = free_columns(problem)
@@ -136,7 +136,7 @@ def covariance_of_shared(problem: Problem, posterior: Posterior) -> Float[Array,
     return covariance if posterior.weak is None else covariance + posterior.weak.shared.T @ posterior.weak.shared
 
 
-@batch_filter_jit
+@sized_filter_jit
 def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array, "N N"]:
     """Covariance of images, in their order, and shared parameters; zero for fixed ones."""
     images, shared = free_columns(problem)
@@ -163,7 +163,7 @@ def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array
     return _transferred(transfer, covariance, G, H)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def covariance_of_functions(
     problem: Problem, posterior: Posterior, images: Float[Array, "d n c"], shared: Float[Array, "d s"]
 ) -> Float[Array, "d d"]:
@@ -180,7 +180,7 @@ def covariance_of_functions(
     return 0.5 * (total + total.T)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array, "rows 3 3"]:
     """Covariance of each point, m2."""
     found = [_by_chunks(problem, group, posterior, rays=False)[0] for group in problem.layout.groups]
@@ -194,7 +194,7 @@ def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array,
     return _transferred(transfer, covariance, G, H)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: Posterior) -> Float[Array, "obs 2 2"]:
     """Leverage of each image point in measurement units, J Q J'; the same in every datum."""
     layout = problem.layout

@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # submodules load lazily
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._record import portable
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
@@ -70,7 +70,7 @@ def scaled_at(
     return _scaled(problem, matrix, datum)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _scaled(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> Any:
     if datum is not None:
         matrix = held(problem, matrix, datum)
@@ -78,7 +78,7 @@ def _scaled(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> Any:
     return matrix.scaled(*scale), scale
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _shifted(matrix: Tridiagonal) -> Factor:
     """Factor of a scaled system with a small diagonal shift, which makes singular systems regular."""
     diagonal = matrix.diagonal + SHIFT * jnp.eye(matrix.diagonal.shape[1])[None]
@@ -86,7 +86,7 @@ def _shifted(matrix: Tridiagonal) -> Factor:
     return factored(Tridiagonal(diagonal, matrix.below, matrix.border, corner))
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _solved(factor: Factor, column: Float[Array, " N"]) -> Float[Array, " N"]:
     slabs, m, _ = factor.own.shape
     images, shared = column[: slabs * m].reshape(slabs, m, 1), column[slabs * m :][:, None]
@@ -112,7 +112,7 @@ def _least(matrix: Tridiagonal, most: int) -> tuple[np.ndarray, np.ndarray]:
     return found[0], found[1].T
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _points_along(problem: Problem, equations: Equations, images: Any, shared: Any) -> Any:
     """Changes of the points for a change of the reduced unknowns (3, rows), m."""
     points = eliminated(problem, equations, 0.0)

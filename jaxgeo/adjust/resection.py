@@ -14,7 +14,7 @@ import numpy as np
 import scipy  # submodules load lazily
 from jaxtyping import Array
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._numerics import matmul3, safe_norm
 from jaxgeo.adjust._least_squares import check_least_squares, minimize
 from jaxgeo.adjust.block import Images
@@ -273,7 +273,7 @@ def _refine_by(
     return float(cost), np.asarray(centre_), np.asarray(R_)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _pose_by(solver: Any, ideal: Array, places: Array, centre: Array, R: Array) -> tuple[Array, Array, Array]:
     size = jnp.linalg.norm(centre)
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._compile import batch_filter_jit
+from jaxgeo._compile import sized_filter_jit
 from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
@@ -110,7 +110,7 @@ def motions_apart(problem: Problem, values: Values, equations: Equations, matrix
     return _motions_apart(problem, equations.images, matrix, observed, whole)
 
 
-@batch_filter_jit
+@sized_filter_jit
 def _motions_apart(
     problem: Problem, of_images: Float[Array, "n c c"], matrix: Tridiagonal, observed: Observing, whole: Whole
 ) -> Motions:

@@ -1,7 +1,7 @@
 """Accuracy of many fixes by linear propagation.
 
 Only the derivatives by the errors are a program of the sensor and of the error model (`linear.derivatives`). The
-slopes, the terrain profile and the radii are programs that all of them share, and a few radii are computed by NumPy.
+slopes and the terrain profile are programs that all of them share, and the radii are computed by NumPy.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from jaxgeo.uncertainty.model_inputs import NominalFix
 from jaxgeo.uncertainty.profile import Profile
 from jaxgeo.uncertainty.radii import radii_of_many
 
-FEW = 128  # fixes: the radii of more are computed by programs
-AT_ONCE = 16, 128  # of few fixes and of many, in a block on a CPU: more are not faster
+FEW = 128  # fixes
+AT_ONCE = 16, 128  # of up to `FEW` fixes and of more, in a block on a CPU: more are not faster
 
 # Whether the errors of fixes are nearly normal over (facet, footprint).
 Normality = Callable[[NominalFix, OverSlope, OverSlope], tuple[Any, Any]]
@@ -74,12 +74,12 @@ def assess_blocks(
     A block is observations, their terrain (of each one with `terrain_axis` 0), and a test of their errors, None if
     these are all normal.
     """
-    level, is_few = np.asarray(probability), count <= FEW
+    level = np.asarray(probability)
     nominals, found, radii = concatenate(
-        [_assess(*block, terrain_axis, level, is_few) for block in blocks],
+        [_assess(*block, terrain_axis, level) for block in blocks],
         count,
     )
-    spherical = radii_of_many(found.cov_enu, level, found.bias_enu, is_few)
+    spherical = radii_of_many(found.cov_enu, level, found.bias_enu)
     with np.errstate(all="ignore"):
         return Assessed(nominals, found, valid_over_profile(np, found.method, (*radii, spherical), found.factors))
 
@@ -90,13 +90,12 @@ def _assess(
     normality: Normality | None,
     terrain_axis: int | None,
     probability: np.ndarray,
-    is_few: bool,
 ) -> tuple[NominalFix, LinearAccuracy, tuple[np.ndarray, np.ndarray]]:
     """(nominal fixes, accuracy, circular and linear error over the plane of the method) of a block."""
     nominal = perturbed.nominal
     found = _examine_block(perturbed, terrain, terrain_axis)
     cov, bias = np.asarray(found.cov_enu), np.asarray(found.bias_enu)
-    circular, linear = _in_plane(cov, np.asarray(LEVEL), bias, is_few)
+    circular, linear = _in_plane(cov, np.asarray(LEVEL), bias)
     diagnostics = diagnostics_of(found, (*circular.T, *linear.T))
     method = np.asarray(select_method(diagnostics))
     is_facet = (method != Method.footprint)[:, None]
@@ -105,13 +104,13 @@ def _assess(
         normal = np.where(is_facet[:, 0], over_facet, over_footprint)
         method = np.where(normal, method, Method.samples.value)
     cov, bias = np.where(is_facet[..., None], cov[:, 0], cov[:, 1]), np.where(is_facet, bias[:, 0], bias[:, 1])
-    about_fix = _in_plane(cov, probability, np.zeros_like(bias), is_few)
+    about_fix = _in_plane(cov, probability, np.zeros_like(bias))
     factors = _factors_block(found.profile, nominal.direction_enu, cov, jnp.asarray(probability), about_fix)
     found_by: Any = np.where(have_fix(nominal.fix.status), method, NO_FIX), cov, bias, diagnostics, np.asarray(factors)
     if probability == LEVEL:
         circular, linear = (np.where(is_facet[:, 0], one[:, 0], one[:, 1]) for one in (circular, linear))
     else:
-        circular, linear = _in_plane(cov, probability, bias, is_few)
+        circular, linear = _in_plane(cov, probability, bias)
     return nominal, LinearAccuracy(*found_by), (circular, linear)
 
 
@@ -134,9 +133,7 @@ def _factors_block(
     return jax.vmap(one)(profile, direction, cov, radii)
 
 
-def _in_plane(
-    cov: np.ndarray, probability: np.ndarray, bias: np.ndarray, is_few: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def _in_plane(cov: np.ndarray, probability: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(circular, linear) errors of covariances (..., 3, 3) and biases (..., 3)."""
-    circular = radii_of_many(cov[..., :2, :2], probability, bias[..., :2], is_few)
-    return circular, radii_of_many(cov[..., 2:, 2:], probability, bias[..., 2:], is_few)
+    circular = radii_of_many(cov[..., :2, :2], probability, bias[..., :2])
+    return circular, radii_of_many(cov[..., 2:, 2:], probability, bias[..., 2:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax
@@ -61,19 +62,16 @@ def _at_hand(cov: Any, bias: Any) -> tuple[Any, Any]:
     return cov, bias
 
 
-def radii_of_many(cov: np.ndarray, probability: np.ndarray, bias: np.ndarray, is_few: bool) -> np.ndarray:
+def radii_of_many(cov: np.ndarray, probability: np.ndarray, bias: np.ndarray) -> np.ndarray:
     """Radii of covariances (..., d, d) and biases (..., d); NaN if they are invalid.
 
-    If they are few, by NumPy; else, and where that has none, by a program of one size.
+    By NumPy; those of which it has none, and many where there is an accelerator, by a program of one size.
     """
     d, batch = bias.shape[-1], bias.shape[:-1]
     cov, bias = cov.reshape(-1, d, d), bias.reshape(-1, d)
-    if not len(cov):
-        return np.zeros(batch)
-    if is_few:
-        found: Any = [host_radii(cov[k : k + MOST], probability, bias[k : k + MOST]) for k in range(0, len(cov), MOST)]
-        if not any(one is None for one in found):
-            return np.concatenate(found).reshape(batch)
+    found: Any = host_radii(cov, probability, bias, by_device(math.inf, MOST))
+    if found is not None:
+        return found.reshape(batch)
     given: Any = (cov, bias) if d > 1 else (cov[:, 0, 0], bias[:, 0])
     parts = blocks_of(given, by_device(AT_ONCE, AT_ONCE_ACCELERATOR), "computing radii", progress=False)
     found = [np.asarray(_OF_MANY[d](part[0], probability, part[1])) for part in parts]

@@ -24,7 +24,6 @@ from jaxgeo.uncertainty.validation import SIGNIFICANCE, Size
 NAMED = 5  # looks in a sentence
 AMBIGUOUS, LEAST_APART = 2.0, 1.0  # times SE90, and m: farther apart, batch and filter are at different solutions
 HORIZONTAL, VERTICAL, ALL_AXES = slice(0, 2), slice(2, 3), slice(0, 3)  # of east, north, up
-AT_ONCE = 256  # radii that the host computes without a program; it takes a third of a millisecond for each
 
 
 class TargetState(Record):
@@ -262,6 +261,4 @@ def _radii(cov_enu: Any, axes: slice, probability: ArrayLike) -> Any:
     """Radii of some axes of one or many covariances."""
     level_of(probability)
     cov = np.asarray(cov_enu)[..., axes, axes]
-    return radii_of_many(
-        cov, np.asarray(probability), np.zeros(cov.shape[:-1]), is_few=cov.size // cov.shape[-1] ** 2 <= AT_ONCE
-    )
+    return radii_of_many(cov, np.asarray(probability), np.zeros(cov.shape[:-1]))
