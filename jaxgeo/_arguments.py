@@ -14,7 +14,7 @@ from jaxgeo._checks import as_array, as_float64, check_is, concrete, is_known, r
 from jaxgeo._typing import Pixel, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, check_position
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
 from jaxgeo.sensor import FrameCamera, Sensor, Shot, Trajectory
@@ -100,7 +100,9 @@ def checked_air(atmosphere: Any) -> Atmosphere | None:
 
 
 def check_latitude(position: Geodetic, name: str) -> None:
-    """Raise `ValueError` for a concrete latitude beyond a pole; the usual cause is degrees instead of radians."""
+    """Raise `ValueError` for a concrete latitude beyond a pole; the usual cause is degrees instead of radians. Raises
+    `TypeError` for what is no position."""
+    check_position(position, name)
     known = concrete(position.lat)
     if known is not None and np.any(np.abs(known) > 0.5 * np.pi + 1e-12):
         raise ValueError(

@@ -36,7 +36,7 @@ from jaxgeo._typing import Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth._horizon import hidden_by_earth
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, check_position
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.observation import accepts_exposure, accepts_observation
@@ -204,7 +204,7 @@ def project(
     behind_camera
     """
     seen_from = checked_exposure(sensor, shot, time)
-    check_is(point, Geodetic, "point")
+    check_position(point, "point")
     if terrain is not None:
         check_terrain(terrain, FIRST_HIT)
     point = as_float64(point, "point")

@@ -15,6 +15,7 @@ from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.navigation import Navigation, joined, navigation_of, sights_of
 from jaxgeo.adjust.records import ImagePoints, Names, as_names
 from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.sensor import FrameCamera, Sensor, Shot
 
 
@@ -214,7 +215,7 @@ class Block:
 
 def frame_at(position: Geodetic) -> LocalFrame:
     """East-north-up frame at the centre of a batch of positions, on the ellipsoid."""
-
+    check_position(position, "position")
     ecef = np.asarray(
         jax.vmap(WGS84.to_ecef)(jax.tree.map(lambda x: np.atleast_1d(np.asarray(x, np.float64)), position))
     )

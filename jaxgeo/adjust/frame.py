@@ -11,6 +11,7 @@ from jaxgeo._checks import as_float64
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.earth.geodetic import check_position
 
 
 class LocalFrame(Record):
@@ -39,6 +40,7 @@ class LocalFrame(Record):
 
     def from_geodetic(self, position: Geodetic) -> jax.Array:
         """A position, or a batch (n,), as coordinates (n, 3) in the frame, m."""
+        check_position(position, "position")
         lat, lon, height = jnp.broadcast_arrays(
             *(jnp.asarray(x) for x in (position.lat, position.lon, position.height))
         )

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxgeo._checks import as_float64, check_is
+from jaxgeo._checks import as_float64
 from jaxgeo._numerics import dot
 from jaxgeo._typing import Scalar, ScalarLike
 from jaxgeo.coverage._checks import checked_positive
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, check_position
 
 MapVector = Float[Array, "2"]
 
@@ -107,5 +107,5 @@ def _overlap(step: Scalar, length: ArrayLike) -> Scalar:
 
 
 def _on_map(projection: MapProjection, point: Geodetic, name: str) -> MapVector:
-    check_is(point, Geodetic, name, "Of a fix, fix.position is one.")
+    check_position(point, name)
     return jnp.stack(projection.forward(point.lat, point.lon))

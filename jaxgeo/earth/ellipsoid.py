@@ -14,7 +14,7 @@ from jaxgeo._compile import one_program
 from jaxgeo._numerics import dot, implicit_root, larger, safe_norm, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, checked_position
 
 BOWRING_STEPS = 2  # exact to the last bit on WGS 84 from -10 km to 100 000 km
 BOWRING_STEPS_IF_FLAT = 6  # for a flattening above 0.01; four are exact to the last bit at 0.3
@@ -52,7 +52,7 @@ class Ellipsoid(Record):
 
     def to_ecef(self, position: Geodetic) -> Vector3:
         """ECEF coordinates in m of a geodetic position on this ellipsoid."""
-        return _ecef(self, as_float64(position, "position"))
+        return _ecef(self, checked_position(position, "position"))
 
     def to_geodetic(self, p_ecef: Vector3) -> Geodetic:
         """Geodetic position of ECEF coordinates in m.

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from jaxgeo._checks import as_float64
 from jaxgeo._compile import one_program
 from jaxgeo._typing import Matrix3, Vector3
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, checked_position
 
 
 def R_ecef_from_ned(position: Geodetic) -> Matrix3:
     """Rotation from north-east-down at `position` to ECEF; the height does not matter."""
-    return _from_ned(as_float64(position, "position"))
+    return _from_ned(checked_position(position, "position"))
 
 
 def R_ecef_from_enu(position: Geodetic) -> Matrix3:
     """Rotation from east-north-up at `position` to ECEF; the height does not matter."""
-    return _from_enu(as_float64(position, "position"))
+    return _from_enu(checked_position(position, "position"))
 
 
 @one_program

@@ -11,7 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64, by_numpy_if_known, check_finite, check_range, concrete, is_known, require_x64
+from jaxgeo._checks import (
+    as_float64,
+    by_numpy_if_known,
+    check_finite,
+    check_is,
+    check_range,
+    concrete,
+    is_known,
+    require_x64,
+)
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField
 
@@ -88,3 +97,16 @@ def _farthest(value: Any) -> float | None:
         return None
     low, high = float(np.fmin.reduce(known, axis=None)), float(np.fmax.reduce(known, axis=None))
     return high if high >= -low else low
+
+
+def check_position(position: Any, name: str) -> None:
+    """Raise `TypeError` unless an argument is a position."""
+    make = "Make one with jaxgeo.Geodetic.from_degrees(lat=, lon=, height=)."
+    own = f"Give {name}.position." if isinstance(getattr(position, "position", None), Geodetic) else make
+    check_is(position, Geodetic, name, own)
+
+
+def checked_position(position: Any, name: str) -> Geodetic:
+    """A position in float64; raises `TypeError` for anything else."""
+    check_position(position, name)
+    return as_float64(position, name)

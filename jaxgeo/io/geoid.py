@@ -6,6 +6,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo.earth import Geodetic
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.fix import Fix
 from jaxgeo.io.vertical import VerticalDatum, height_shift
 
@@ -40,6 +41,7 @@ def height_msl(position: Geodetic | Fix, datum: VerticalDatum = EGM96) -> np.nda
 
 def degrees_of(position: Geodetic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(lat, lon, height) in deg, deg, m, by NumPy: no compilation for a new batch length."""
+    check_position(position, "position")
     lat, lon, height = (np.asarray(part, np.float64) for part in (position.lat, position.lon, position.height))
     return np.asarray(np.rad2deg(lat)), np.asarray(np.rad2deg(lon)), height
 

@@ -10,22 +10,23 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxgeo._accelerator import by_device
+from jaxgeo._accelerator import by_device, on_accelerator
 from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
 from jaxgeo._compile import MOST_ROWS, ROWS, batch_filter_jit, long_run_filter_jit
 from jaxgeo._intersection import FIRST_HIT
 from jaxgeo.earth import WGS84, Atmosphere
+from jaxgeo.fix import Fix
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
 from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain import AbstractTerrain, Bracket
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs, located_each
 
-CHUNK, CHUNK_ACCELERATOR = ROWS, 2**18  # rays per call: one size, compiled once
+CHUNK, CHUNK_ACCELERATOR = ROWS, 2**20  # rays per call: one size, compiled once
 MANY = 4_000_000  # rays; a program that is optimised more repays its compiling from here on
 BILINEAR = Bilinear()
 
@@ -98,10 +99,14 @@ def seen_at(
     """(orthoimage values at the first terrain hits of pixels, zero if unknown; mask of known values; the `Status`).
     Pixels may lie outside the image where the camera still defines rays."""
     pixels = Pixels.of(jnp.asarray(reference.values), jnp.asarray(reference.known))
-    found = met(inputs, uv)
-    parts = [_sampled_on(reference.grid, pixels, part, how) for part in _chunks(found, _chunk())]
-    value, is_known = (np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True))
-    return value[:, : len(uv)], is_known[: len(uv)], found.status
+    if on_accelerator():  # where the fixes stay; all parts are sent before the first comes back
+        parts: Any = [_seen_there(inputs, reference.grid, pixels, part, how) for part in _chunks(uv, _chunk())]
+    else:
+        found = met(inputs, uv)
+        parts = [(*_sampled_on(reference.grid, pixels, part, how), part.status) for part in _chunks(found, _chunk())]
+    values = (np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True))
+    value, is_known, status = (x[..., : len(uv)] for x in values)
+    return value, is_known, status
 
 
 def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
@@ -111,10 +116,14 @@ def met(inputs: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
     else:
         filled, most = np.concatenate(_chunks(uv, _chunk())), by_device(MOST_ROWS, CHUNK_ACCELERATOR)
         parts = [located_each(inputs, filled[k : k + most]) for k in range(0, len(filled), most)]
-    fix, bracket = jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[: len(uv)], *parts)
+    found = jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[: len(uv)], *parts)
+    return _met_of(np, *found)
+
+
+def _met_of(xp: Any, fix: Fix, bracket: Bracket) -> Met:
     hit, nowhere = fix.status == Status.hit, np.array([WGS84.a, 0.0, 0.0])
-    lat, lon, height = (np.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))
-    return Met(np.where(hit[:, None], fix.ecef, nowhere), lat, lon, height, bracket.cell, fix.status)
+    lat, lon, height = (xp.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))
+    return Met(xp.where(hit[:, None], fix.ecef, nowhere), lat, lon, height, bracket.cell, fix.status)
 
 
 def _chunk() -> int:
@@ -133,6 +142,15 @@ def _chunks(rows: Any, size: int) -> list[Any]:
 
 # One program, which runs faster, and is worth its time to compile.
 _located_many = long_run_filter_jit(located_each)
+
+
+@long_run_filter_jit
+def _seen_there(
+    inputs: ModelInputs, grid: AbstractGrid, pixels: Pixels, uv: Float[Array, "n 2"], how: AbstractInterpolation
+) -> tuple[Float[Array, "bands n"], Bool[Array, " n"], Int8[Array, " n"]]:
+    """As `seen_at`, in one program."""
+    found = _met_of(jnp, *located_each(inputs, uv))
+    return *_sampled_on(grid, pixels, found, how), found.status
 
 
 @batch_filter_jit

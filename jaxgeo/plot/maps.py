@@ -19,6 +19,7 @@ from jaxgeo._checks import check_is
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.earth._on_host import normals_of
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.fix import Fix
 from jaxgeo.plot.close_up import Posts, interpolated
 from jaxgeo.plot.legends import keyed
@@ -40,6 +41,7 @@ RELIEF = matplotlib.colors.LinearSegmentedColormap.from_list(
 
 def lonlat_deg(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     """(longitude, latitude) in deg as NumPy arrays, in the order of axes."""
+    check_position(position, "position")
     return np.asarray(np.rad2deg(position.lon)), np.asarray(np.rad2deg(position.lat))
 
 

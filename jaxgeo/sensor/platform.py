@@ -18,6 +18,7 @@ from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.earth._horizon import hidden_by_earth
 from jaxgeo.earth._on_host import ecef_of, normals_of
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, Rx, Ry, Rz, heading_pitch_roll_from_R
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
 
@@ -178,6 +179,8 @@ class Pose(Record):
         Ignores lever arms and boresight; `jaxgeo.sensor.point_shot` includes them, with a gimbal. Raises `ValueError`
         for a concrete point that the Earth hides from the position.
         """
+        check_position(position, "position")
+        check_position(point, "point")
         _check_above_horizon(position, point)
         position, point, roll = as_float64((position, point, roll), "Pose.looking_at")
         sight = R_ecef_from_ned(position).T @ (WGS84.to_ecef(point) - WGS84.to_ecef(position))

@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
 from jaxgeo.earth import Atmosphere, Geodetic
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.sensor.aiming import TOLERANCE, Aimed, aim, aim_along
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Gimbal, Readings
@@ -54,7 +55,7 @@ def point_shot(
     """
     check_axes(sensor.gimbal)
     check_is(pose, Pose, "pose", "Of a Shot or a Trajectory, shot.pose or trajectory.at(time).pose.")
-    check_is(point, Geodetic, "point")
+    check_position(point, "point")
     check_air(atmosphere)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, pose, point, uv, readings, atmosphere), "point_shot")
@@ -81,7 +82,7 @@ def point_trajectory(
     """
     check_axes(sensor.gimbal)
     check_is(trajectory, Trajectory, "trajectory")
-    check_is(points, Geodetic, "points")
+    check_position(points, "points")
     check_air(atmosphere)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, trajectory, points, uv, readings, atmosphere), "point_trajectory")

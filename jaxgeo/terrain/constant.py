@@ -12,7 +12,7 @@ from jaxgeo._compile import one_program
 from jaxgeo._numerics import dot, finite_or, value_and_slope
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, checked_position
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.field import AbstractField, ConstantField, checked_field
@@ -67,7 +67,7 @@ class ConstantHeight(AbstractTerrain):
 
     def height_at(self, position: Geodetic) -> Scalar:
         """Height of the surface in m at a latitude and longitude (the height of `position` is ignored)."""
-        return _height_at(self, as_float64(position, "position"))
+        return _height_at(self, checked_position(position, "position"))
 
     def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
         above = -self.clearance(p_ecef, jnp.zeros(2, jnp.int32))

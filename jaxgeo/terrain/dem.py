@@ -18,7 +18,7 @@ from jaxgeo._numerics import all_finite, finite_or, safe_angle
 from jaxgeo._typing import ExtentField, Flag, FlagField, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, checked_position
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain._memory import copied, handed_over
 from jaxgeo.terrain.field import AbstractField, BoundedField, Bounds, SumField, checked_field
@@ -240,7 +240,7 @@ class Dem(AbstractTerrain):
 
     def rowcol_at(self, position: Geodetic) -> Float[Array, "2"]:
         """(row, col) of a position; posts are at integers."""
-        position = as_float64(position, "position")
+        position = checked_position(position, "position")
         return self.grid.rowcol(R_ecef_from_enu(position)[:, 2])
 
     def height_at(self, position: Geodetic) -> Scalar:
@@ -248,7 +248,7 @@ class Dem(AbstractTerrain):
 
         NaN outside the grid and over voids; differentiable in position and posts.
         """
-        return _height_at(self, as_float64(position, "position"))
+        return _height_at(self, checked_position(position, "position"))
 
     def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
         rowcol, height = self.over(p_ecef)
@@ -293,11 +293,11 @@ class Dem(AbstractTerrain):
 
     def normal_at(self, position: Geodetic) -> Vector3:
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as `height_at`."""
-        return _normal_at(self, as_float64(position, "position"))
+        return _normal_at(self, checked_position(position, "position"))
 
     def slope_at(self, position: Geodetic) -> Scalar:
         """Angle in rad between the surface and the horizontal at a latitude and longitude; NaN as `height_at`."""
-        return _slope_at(self, as_float64(position, "position"))
+        return _slope_at(self, checked_position(position, "position"))
 
     def _known_cell(self, rowcol: Float[Array, "2"]) -> tuple[Int[Array, "2"], Flag]:
         cell = self.cell_of(jnp.where(jnp.isfinite(rowcol), rowcol, 0.0))

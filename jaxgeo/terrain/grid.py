@@ -25,6 +25,7 @@ from jaxgeo._numerics import larger, safe_sqrt, times, within
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.earth.geodetic import checked_position
 from jaxgeo.earth.projection import TransverseMercator
 
 RowCol = Float[Array, "2"]
@@ -182,7 +183,7 @@ class TangentGrid(AbstractGrid):
         """
         spacings, turn = jnp.asarray(spacing, jnp.float64), jnp.asarray(heading, jnp.float64)
         posts = jnp.asarray(shape, jnp.float64)
-        return cls(*_centred_in_plane(as_float64(centre, "centre"), spacings, posts, turn))
+        return cls(*_centred_in_plane(checked_position(centre, "centre"), spacings, posts, turn))
 
     def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
         east, north = _plane(self.R_enu_from_ecef, x, y, z)

@@ -13,7 +13,7 @@ from jaxgeo._checks import as_float64, check_finite, check_is, concrete, require
 from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._typing import Flag, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, checked_position
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.field import AbstractField, Bounds, ConstantField, checked_field
 from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket
@@ -77,7 +77,7 @@ class HeightFunction(AbstractTerrain):
 
     def height_at(self, position: Geodetic) -> Scalar:
         """Height of the ground in m at a latitude and longitude (the height of `position` is ignored)."""
-        position = as_float64(position, "position")
+        position = checked_position(position, "position")
         foot = Geodetic(lat=position.lat, lon=position.lon, height=jnp.zeros_like(position.lat))
         return eqx.combine(self.parameters, self.rest)(foot) + self.raised
 

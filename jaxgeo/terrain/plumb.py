@@ -5,12 +5,11 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxgeo._checks import as_float64
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Scalar
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
-from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.geodetic import Geodetic, checked_position
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain.interface import AbstractTerrain
@@ -25,7 +24,7 @@ def height_by_plumb_line(terrain: AbstractTerrain, position: Geodetic) -> Scalar
 
     Differentiable in the position and the terrain, as a hit is.
     """
-    position = as_float64(position, "position")
+    position = checked_position(position, "position")
     is_place = jnp.isfinite(position.lat) & jnp.isfinite(position.lon)
     terrain, is_sound = terrain.made_safe()
     lat, lon = (jnp.where(is_place, angle, 0.0) for angle in (position.lat, position.lon))

@@ -17,6 +17,7 @@ from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField
 from jaxgeo.earth import Atmosphere, Geodetic
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
@@ -136,7 +137,7 @@ def accuracy_map(
     how |= {"atmosphere": atmosphere, "block": block}
     context, model, request = checked_map(sensor, shot, terrain, errors, **how)
     ground = _cells(terrain, step) if ground is None else ground
-    check_is(ground, Geodetic, "ground", "Make one with Geodetic.from_degrees(lat=, lon=, height=0.0).")
+    check_position(ground, "ground")
     check_latitude(ground, "ground")
     lat, lon = np.broadcast_arrays(*on_host(as_float64((ground.lat, ground.lon), "ground")))
     if not lat.size:

@@ -15,6 +15,7 @@ from jaxgeo._compile import batch_filter_jit
 from jaxgeo._record import Record
 from jaxgeo._typing import Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.earth.geodetic import check_position
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty._track import AT_REST, checked_errors
@@ -74,7 +75,7 @@ def simulate_looks(
     """
     several = checked_looks(looks)
     check_is(target, AbstractTarget, "target", "AtRest() and ConstantVelocity() are targets.")
-    check_is(position, Geodetic, "position")
+    check_position(position, "position")
     check_key(key)
     velocity = np.asarray(as_float64(as_array(velocity_enu, "velocity_enu"), "velocity_enu"))
     if velocity.shape != (3,) or (not target.is_moving and np.any(velocity)):

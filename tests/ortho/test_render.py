@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from support.fractal import fractal_posts
 
-from jaxgeo import ConstantHeight, Dem, FrameCamera, Geodetic, Gimbal, Mount, Sensor, Shot, Status, project
+from jaxgeo import (
+    ConstantHeight,
+    Dem,
+    FrameCamera,
+    Geodetic,
+    Gimbal,
+    Mount,
+    Sensor,
+    Shot,
+    Status,
+    _accelerator,
+    project,
+)
 from jaxgeo.earth import WGS84
 from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.ortho.rectification import rectify
@@ -78,6 +92,22 @@ def test_more_rays_are_the_mean_of_images_a_part_of_a_pixel_apart() -> None:
     np.testing.assert_array_equal(coarse.known[inside], known[inside])
     means = np.where(known, np.mean([part.values for part in parts], axis=0), 0.0)
     np.testing.assert_allclose(coarse.values[:, *inside], means[:, *inside], rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_an_image_by_the_program_of_an_accelerator_is_that_of_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled for a CPU, and in parts, the last of which is padded."""
+    given = sensor(), shot(), Orthoimage.of(PLACES, GRID), DEM
+    usual = render(*given)
+    monkeypatch.setattr(_accelerator, "on_accelerator", lambda *_: True)
+    monkeypatch.setattr(sys.modules["jaxgeo.ortho.rendering"], "on_accelerator", lambda *_: True)
+    monkeypatch.setattr(sys.modules["jaxgeo.ortho.rendering"], "CHUNK_ACCELERATOR", 4000)
+    found = render(*given)
+    assert usual.known.any()
+    assert not usual.known.all()
+    np.testing.assert_array_equal(found.status, usual.status)
+    np.testing.assert_array_equal(found.known, usual.known)
+    np.testing.assert_allclose(found.values, usual.values, rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow
