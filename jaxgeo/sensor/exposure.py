@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +12,10 @@ from jaxgeo._numerics import implicit_root, newton_or_half, safe_sqrt, tree_wher
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
-from jaxgeo.sensor._interpolation import Legs
+from jaxgeo.sensor.delay import Scene, delay_at, image_at, sight_at
 from jaxgeo.sensor.platform import Shot
 from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
+from jaxgeo.sensor.steady_exposure import STRETCHES, search_missed, steady_moment
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
@@ -28,16 +29,6 @@ SEEN = 1e-7  # of the exposure: tolerance of an exposure time, and of the trajec
 
 Nodes = Float[Array, " nodes"]
 Exposure = tuple[Scalar, Scalar]
-
-
-class Scene(NamedTuple):
-    """Inputs of a point's delay: `time` in s is the time of the image, `p_ecef` the point in m."""
-
-    sensor: Sensor
-    legs: Legs
-    time: Scalar
-    p_ecef: Vector3
-    air: Atmosphere | None
 
 
 class Crossing(NamedTuple):
@@ -83,42 +74,100 @@ def image_of_point(
         unseen = status_where(motion.covers(time, moment), Status.hit, Status.outside_trajectory.code)
     else:
         moment, unseen = _moment(*jax.lax.stop_gradient((scene, exposure)))
-        moment = implicit_root(_delay, moment, scene)
-    sight = _sight(scene, moment)
-    uv, _, status = _image(scene, sight, moment)
+        moment = implicit_root(delay_at, moment, scene)
+    sight = sight_at(scene, moment)
+    uv, _, status = image_at(scene, sight, moment)
     status = status_where(~valid, Status.invalid_input, first_failure(unseen, status))
     has_image = seen_beside(status, uv) == Status.hit
     status = sensor.camera.cause(uv, status)
     return jnp.where(has_image, uv, jnp.nan), status, jnp.where(valid, sight.centre, jnp.nan)
 
 
+class Search(NamedTuple):
+    """Where the exposure of a point is searched for: `begin` and `end` of the exposure and `before` and `after` of the
+    trajectory, all in s after the image's time, and the sample times `nodes`, with the sights there and their rates."""
+
+    begin: Scalar
+    end: Scalar
+    before: Scalar
+    after: Scalar
+    overlaps: Flag
+    nodes: Nodes
+    sights: Sight
+    rates: Sight
+
+    @classmethod
+    def of(cls, scene: Scene, exposure: Exposure) -> Search:
+        (begin, end), times = exposure, scene.legs.times
+        duration, before, after = end - begin, times[0] - scene.time, times[-1] - scene.time
+        low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
+        high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
+        overlaps = low < high
+        low, high = tree_where(overlaps, (low, high), (before, after))
+        count = STRETCHES * -(-(min(max(2 * times.shape[0], FEWEST), MOST) - 1) // STRETCHES) + 1
+        nodes = low + (high - low) * jnp.linspace(0.0, 1.0, count)
+        sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: sight_at(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
+        return cls(begin, end, before, after, overlaps, nodes, sights, rates)
+
+    @property
+    def duration(self) -> Scalar:
+        """Of the exposure, s."""
+        return self.end - self.begin
+
+    def reason(self, blind: StatusCode) -> StatusCode:
+        """The status of a point without an exposure time; `blind` is not `hit` if it is behind the camera."""
+        reason = status_where(blind == Status.hit, Status.never_seen, blind)
+        is_beyond = (self.before > self.begin) | (self.after < self.end)
+        return status_where(is_beyond, Status.outside_trajectory, reason)
+
+
+@jax.custom_batching.custom_vmap
 def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
     """Exposure time of the point, in s after the image's; without a crossing, some time and the reason as status."""
-    (begin, end), times = exposure, scene.legs.times
-    duration, before, after = end - begin, times[0] - scene.time, times[-1] - scene.time
-    low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
-    high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
-    overlaps = low < high
-    low, high = tree_where(overlaps, (low, high), (before, after))
-    nodes = low + (high - low) * jnp.linspace(0.0, 1.0, min(max(2 * times.shape[0], FEWEST), MOST))
-    crossings, blind = _crossings(scene, nodes, SEEN * duration)
+    return _sampled_moment(scene, Search.of(scene, exposure))
+
+
+@_moment.def_vmap
+def _(size: int, is_batched: Any, scene: Scene, exposure: Exposure) -> tuple[Any, Any]:
+    """Many points of one image: those whose delay is proven to rise or fall steadily need few samples."""
+    axes = jax.tree.map(lambda own: 0 if own else None, is_batched)
+    if any(jax.tree.leaves((is_batched[0]._replace(p_ecef=False), is_batched[1]))):
+        one = lambda scene, exposure: _sampled_moment(scene, Search.of(scene, exposure))  # noqa: E731
+        return jax.vmap(one, in_axes=axes)(scene, exposure), (True, True)
+    search, there = Search.of(scene, exposure), scene._replace(p_ecef=None)
+
+    def quick(place: Vector3) -> tuple[tuple[Scalar, StatusCode], Flag]:
+        here = there._replace(p_ecef=place)
+        moment, is_seen, is_proven = steady_moment(here, search.nodes, search.sights, search.rates)
+        is_seen, is_proven = is_seen & search.overlaps, is_proven & search.overlaps
+        return (moment, status_where(is_seen, Status.hit, search.reason(Status.hit.code))), is_proven
+
+    def sampled(place: Vector3) -> tuple[Scalar, StatusCode]:
+        return _sampled_moment(there._replace(p_ecef=place), search)
+
+    found, is_proven = jax.vmap(quick)(scene.p_ecef)
+    return search_missed(sampled, scene.p_ecef, ~is_proven, found), (True, True)
+
+
+def _sampled_moment(scene: Scene, search: Search) -> tuple[Scalar, StatusCode]:
+    """As `_moment`, from samples of the delay that find several crossings too."""
+    duration = search.duration
+    crossings, blind = _crossings(scene, search, SEEN * duration)
     moments = jax.vmap(lambda crossing: _newton(scene, crossing, duration))(crossings)
-    _, delays, statuses = jax.vmap(lambda s: _image(scene, _sight(scene, s), s))(moments)
-    found = crossings.exists & overlaps & (jnp.abs(delays) <= SEEN * duration)
+    _, delays, statuses = jax.vmap(lambda s: image_at(scene, sight_at(scene, s), s))(moments)
+    found = crossings.exists & search.overlaps & (jnp.abs(delays) <= SEEN * duration)
     best = jnp.where(statuses == Status.hit, 3, jnp.where(statuses == Status.outside_image, 2, 1))
     k = jnp.argmax(jnp.where(found, best, 0))  # the first among equals
-    reason = status_where(blind == Status.hit, Status.never_seen, blind)
-    reason = status_where((before > begin) | (after < end), Status.outside_trajectory, reason)
-    return moments[k], status_where(found[k], Status.hit, reason)
+    return moments[k], status_where(found[k], Status.hit, search.reason(blind))
 
 
-def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, StatusCode]:
+def _crossings(scene: Scene, search: Search, slack: Scalar) -> tuple[Crossing, StatusCode]:
     """The first sample intervals in which the delay changes sign, and the status if no sample is in front.
 
     Intervals with the point beside the image rank last. The delay is modelled as a cubic between samples, so that two
     sign changes within one interval are found too.
     """
-    sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: _sight(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
+    nodes, sights, rates = search.nodes, search.sights, search.rates
     middle, step = scene, nodes[1] - nodes[0]
     if scene.air is not None:  # refraction hardly changes during the exposure: use that of the middle sample
         seeming = apparent_point(sights.centre[nodes.shape[0] // 2], scene.p_ecef, scene.air)
@@ -126,7 +175,7 @@ def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, Sta
 
     def delay(time: Scalar, sight: Sight, rate: Sight) -> tuple[Scalar, Scalar, StatusCode]:
         def at(sight: Sight, time: Scalar) -> tuple[Scalar, StatusCode]:
-            return _image(middle, sight, time)[1:]
+            return image_at(middle, sight, time)[1:]
 
         value, slope, status = jax.jvp(at, (sight, time), (rate, jnp.ones_like(time)), has_aux=True)
         return value, slope, status
@@ -179,21 +228,9 @@ def _newton(scene: Scene, crossing: Crossing, duration: Scalar) -> Scalar:
 
     def refine(state: tuple[Scalar, Scalar, Scalar, Flag, Scalar]) -> tuple[Scalar, Scalar, Scalar, Flag, Scalar]:
         low, high, moment, _, count = state
-        value, slope = value_and_slope(lambda s: crossing.sign * _delay(s, scene), moment)
+        value, slope = value_and_slope(lambda s: crossing.sign * delay_at(s, scene), moment)
         low, high, following = newton_or_half(low, high, moment, value, slope, slack)
         return low, high, following, jnp.abs(following - moment) <= CLOSE_ENOUGH * duration, count + 1.0
 
     state = (crossing.low, crossing.high, crossing.start, ~crossing.exists, jnp.zeros_like(duration))
     return jax.lax.while_loop(unfinished, refine, state)[2]
-
-
-def _delay(moment: Scalar, scene: Scene) -> Scalar:
-    return _image(scene, _sight(scene, moment), moment)[1]
-
-
-def _sight(scene: Scene, moment: Scalar) -> Sight:
-    return scene.sensor.sight(scene.legs.station(scene.time, moment))
-
-
-def _image(scene: Scene, sight: Sight, moment: Scalar) -> tuple[Pixel, Scalar, StatusCode]:
-    return scene.sensor.camera.image_at(sight.to_camera(scene.p_ecef, scene.air), moment)
