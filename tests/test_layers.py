@@ -11,7 +11,7 @@ from support.numpy_in_jit import numpy_in_jitted_code
 # From the lowest layer up: packages (or single modules) of `jaxgeo`. A package imports only packages of lower layers.
 LAYERS = [
     (
-        "_typing _checks _compile _digest _elementary _export _numerics _record status least_squares _destination "
+        "_typing _checks _compile _digest _elementary _export _native _numerics _record status least_squares _destination "
         "_partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
         "_parallel _sweep _sweep_store batches _accelerator _blas_threads"
     ).split(),
