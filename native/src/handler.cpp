@@ -48,8 +48,6 @@ struct Work {
   }
 };
 
-constexpr int64_t CHUNKS_OF_A_THREAD = 4;  // fewer are not worth waking one
-
 void walk_all(ffi::ThreadPool& pool, const Terrain& terrain, const Tracks& tracks, const Events& events, int64_t rays) {
   static const Walk walk = best_walk();
   const int64_t chunks = (rays + CHUNK - 1) / CHUNK;
@@ -57,8 +55,7 @@ void walk_all(ffi::ThreadPool& pool, const Terrain& terrain, const Tracks& track
     const int64_t last = (chunk + 1) * CHUNK;
     walk(terrain, tracks, events, chunk * CHUNK, last < rays ? last : rays);
   };
-  const int64_t wanted = chunks / CHUNKS_OF_A_THREAD, threads = pool.num_threads();
-  const int64_t helpers = (wanted < threads ? wanted : threads) - 1;
+  const int64_t threads = pool.num_threads(), helpers = (chunks < threads ? chunks : threads) - 1;
   if (helpers <= 0) {
     for (int64_t chunk = 0; chunk < chunks; ++chunk) each(chunk);
     return;

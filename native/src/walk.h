@@ -56,7 +56,7 @@ struct Events {
 
 using Walk = void (*)(const Terrain&, const Tracks&, const Events&, int64_t first, int64_t last);
 
-constexpr int64_t CHUNK = 256;  // rays that one call of a walk takes at most
+constexpr int64_t CHUNK = 1024;  // rays that one call of a walk takes at most
 
 #define JAXGEO_DECLARE_WALK(name) \
   namespace name {                \

@@ -31,7 +31,7 @@ from jaxgeo.terrain.search.march import (
     lowest_clearance,
     status_of,
 )
-from jaxgeo.terrain.search.native import serves
+from jaxgeo.terrain.search.native import BLOCK, serves
 from jaxgeo.terrain.search.native import walk_all as walk_natively
 from jaxgeo.terrain.search.reach import ON_GROUND, Reach, Way, above_ground, reach_of, way_of
 from jaxgeo.terrain.search.walker import MOST_TRACKS, nothing_like
@@ -96,22 +96,13 @@ def _(axis_size, in_batched, ray: Ray, dem: Dem, search: FirstHit):
 
 @custom_vmap
 def _first_hits(rays: Ray, ground: Ground, search: FirstHit) -> Bracket:
-    """Brackets of many rays (leading axis); more than fit at once are split into parts."""
-    count = rays.origin.shape[0]
-    parts = -(-count // by_device(AT_ONCE, AT_ONCE_ACCELERATOR))
-    size = -(-count // parts) if count else 0
-    if parts <= 1:
-        return _search(rays, ground, search) if count else jax.vmap(lambda _: _nothing())(rays.origin)
-
-    def part(start: Int[Array, ""], found: Bracket) -> Bracket:
-        first = jnp.minimum(start * size, count - size)
-        pick = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
-        new = _search(jax.tree.map(pick, rays), ground.of_rays(pick), search)
-        return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), found, new)
-
-    nothing = nothing_like(jnp.where(jnp.isfinite(rays.origin[0, 0]), rays.origin[0, 0], 0.0))
-    empty = jax.tree.map(lambda x: jnp.full((count, *x.shape), nothing.astype(x.dtype)), _nothing())
-    return jax.lax.fori_loop(0, parts, part, empty)
+    """Brackets of many rays (leading axis)."""
+    if not rays.origin.shape[0]:
+        return jax.vmap(lambda _: _nothing())(rays.origin)
+    if not (search.native and is_native() and serves(ground) and by_device(True, False)):
+        return _search_in_jax(rays, ground, search.beam)
+    like = jax.eval_shape(jax.vmap(lambda _: _nothing()), rays.origin)
+    return native_or_not(_search_natively, _search_in_jax, like, rays, ground, search.beam)
 
 
 @_first_hits.def_vmap
@@ -164,26 +155,38 @@ def _one_terrain_each(first_hit, axis_size: int, rays: Ray, dem: Dem | Ground, d
     return jax.lax.map(one, jnp.arange(axis_size))
 
 
-def _search(rays: Ray, ground: Ground, search: FirstHit) -> Bracket:
-    """By the native search where it can be used, else in JAX."""
-    if not (search.native and is_native() and serves(ground) and by_device(True, False)):
-        return _search_in_jax(rays, ground, search.beam)
-    like = jax.eval_shape(jax.vmap(lambda _: _nothing()), rays.origin)
-    return native_or_not(_search_natively, _search_in_jax, like, rays, ground, search.beam)
-
-
 def _search_natively(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
-    return _searched(rays, ground, beam, walk_natively)
+    return _in_parts(rays, ground, BLOCK, lambda rays, ground: _search(rays, ground, beam, walk_natively))
 
 
 def _search_in_jax(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
     def walk(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> Found:
         return ground.each(_found, *walk_all(ray, way, ground, beam))
 
-    return _searched(rays, ground, beam, walk)
+    size = by_device(AT_ONCE, AT_ONCE_ACCELERATOR)
+    return _in_parts(rays, ground, size, lambda rays, ground: _search(rays, ground, beam, walk))
 
 
-def _searched(rays: Ray, ground: Ground, beam: Beam | None, walk: Callable[..., Found]) -> Bracket:
+def _in_parts(rays: Ray, ground: Ground, most: int, search: Callable[[Ray, Ground], Bracket]) -> Bracket:
+    """Brackets of many rays, at most so many at once; the last part overlaps the one before."""
+    count = rays.origin.shape[0]
+    parts = -(-count // most)
+    size = -(-count // parts)
+    if parts == 1:
+        return search(rays, ground)
+
+    def part(start: Int[Array, ""], found: Bracket) -> Bracket:
+        first = jnp.minimum(start * size, count - size)
+        pick = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
+        new = search(jax.tree.map(pick, rays), ground.of_rays(pick))
+        return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), found, new)
+
+    nothing = nothing_like(jnp.where(jnp.isfinite(rays.origin[0, 0]), rays.origin[0, 0], 0.0))
+    empty = jax.tree.map(lambda x: jnp.full((count, *x.shape), nothing.astype(x.dtype)), _nothing())
+    return jax.lax.fori_loop(0, parts, part, empty)
+
+
+def _search(rays: Ray, ground: Ground, beam: Beam | None, walk: Callable[..., Found]) -> Bracket:
     reach = ground.each(reach_of, rays)
     begins_low = reach.exists & reach.from_near & (reach.start == 0.0)
 

@@ -1,6 +1,6 @@
 """First-hit walk by the native search of the package `jaxgeo_native`, over the same tracks as the walk in JAX.
 
-Tracks are made here, for any grid and for refracted rays, in blocks that stay in a core's cache. The native search
+Tracks are made here, for any grid and for refracted rays. The native search
 walks each ray along its track to the first event or the track's end, in lanes of its own, and finds the root.
 """
 
@@ -31,8 +31,8 @@ from jaxgeo.terrain.track import Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-BLOCK = 4096  # rays of the first pass at a time: their tracks fit a core's cache
-FEW = 1024  # rays that are left, at a time
+BLOCK = 4096  # rays at a time: all that is computed of them fits a core's cache
+FEW = 256  # of those that are left of a block, at a time
 POSTS = "float64 float32 int8 uint8 int16 uint16 int32 uint32".split()
 
 
@@ -43,52 +43,30 @@ def serves(ground: Ground) -> bool:
 
 
 def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> Found:
-    """Walk every ray (leading axis) to its first event or its end."""
+    """Walk a block of rays (leading axis) to their first events or ends.
+
+    Few rays need more than one track: they are walked apart, `FEW` at a time.
+    """
     count = way.start.shape[0]
+    walker, track = at_start(ray, way, ground, beam)
     if count <= FEW:
-        walker, track = at_start(ray, way, ground, beam)
         return _to_the_end(walker, track, ray, way, ground)
-    walker, found = _first_pass(ray, way, ground, beam)
+    if beam is None:
+        walker, track = _with_new_tracks(walker, track, ray, ground, way)
+    walker, found = _one_round(walker, track, way, ground)
     waiting, left = listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
     waiting = jnp.pad(waiting, (0, FEW))
 
-    def block(number: Index, found: Found) -> Found:
+    def some(number: Index, found: Found) -> Found:
         index = jax.lax.dynamic_slice_in_dim(waiting, number * FEW, FEW)
         index = jnp.where(number * FEW + jnp.arange(FEW) < left, index, count)
         pick = lambda x: x.at[index].get(mode="clip")  # noqa: E731
         here_walker, here_ray, here_way = jax.tree.map(pick, (walker, ray, way))
         here_walker = eqx.tree_at(lambda w: w.is_over, here_walker, here_walker.is_over | (index == count))
-        here = ground.of_rays(pick)
-        tracks = no_tracks(here_way.start)
-        some = _to_the_end(here_walker, tracks, here_ray, here_way, here)
-        return jax.tree.map(
-            lambda all_, some: all_.at[index].set(some, mode="drop", unique_indices=True), found, some
-        )
+        new = _to_the_end(here_walker, no_tracks(here_way.start), here_ray, here_way, ground.of_rays(pick))
+        return jax.tree.map(lambda x, new: x.at[index].set(new, mode="drop", unique_indices=True), found, new)
 
-    return jax.lax.fori_loop(0, (left + FEW - 1) // FEW, block, found)
-
-
-def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Walker, Found]:
-    """One round of all rays in contiguous blocks; the last one overlaps the one before."""
-    count = way.start.shape[0]
-    blocks = -(-count // BLOCK)
-    size = -(-count // blocks)
-
-    def block(number: Index, state: tuple[Walker, Found]) -> tuple[Walker, Found]:
-        first = jnp.minimum(number * size, count - size)
-        part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
-        (here_ray, here_way), here = jax.tree.map(part, (ray, way)), ground.of_rays(part)
-        walker, track = at_start(here_ray, here_way, here, beam)
-        if beam is None:
-            walker, track = _with_new_tracks(walker, track, here_ray, here, here_way)
-        done = _one_round(walker, track, here_way, here)
-        return jax.tree.map(
-            lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), state, done
-        )
-
-    walker = jax.vmap(Walker.at_start)(way)
-    found = jax.vmap(Found.nothing)(walker)
-    return jax.lax.fori_loop(0, blocks, block, (walker, found))
+    return jax.lax.fori_loop(0, (left + FEW - 1) // FEW, some, found)
 
 
 def _to_the_end(walker: Walker, track: Track, ray: Ray, way: Way, ground: Ground) -> Found:
