@@ -1,4 +1,4 @@
-"""The optional package `jaxgeo_native`: a search compiled ahead, in place of JAX's in programs for this machine's CPU."""
+"""The optional package `jaxgeo_native`: a search compiled ahead, for programs on this machine's CPU."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import jax
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
+from jax.sharding import PartitionSpec
 
 SWITCH = "JAXGEO_NATIVE"  # environment variable; 0: the package is not used
 INTERFACE = 1  # of the arrays that the native search takes
@@ -85,24 +86,35 @@ def _compiled(leaves: Sequence[Any], **params: Any) -> Sequence[jax.Array]:
 
 @_either.def_abstract_eval
 def _(*avals: Any, results: tuple[tuple[tuple[int, ...], Any], ...], **_: Any) -> list[Any]:
-    empty = (jax.core.ShapedArray(shape, dtype) for shape, dtype in results)
-    # distributed over devices as the first array is
-    return [avals[0].update(shape=x.shape, dtype=x.dtype, weak_type=False, sharding=x.sharding) for x in empty]
-
-
-def _of_leaves(function: Callable[..., Any], structure: Any) -> Callable[..., list[Any]]:
-    return lambda *leaves: jax.tree.leaves(function(*jax.tree.unflatten(structure, leaves)))
+    first = avals[0]  # results are distributed over devices as this array is along its first axis
+    along = tuple(first.sharding.spec)[:1]
+    return [
+        first.update(
+            shape=shape, dtype=dtype, weak_type=False, sharding=first.sharding.update(spec=PartitionSpec(*along))
+        )
+        for shape, dtype in results
+    ]
 
 
 def _lower(ctx: Any, *leaves: Any, native: Any, portable: Any, structure: Any, results: Any) -> Any:
     del native, results
-    return mlir.lower_fun(_of_leaves(portable, structure))(ctx, *leaves)
+    return _lowered(portable, structure, ctx, leaves)
 
 
 def _lower_on_cpu(ctx: Any, *leaves: Any, native: Any, portable: Any, structure: Any, results: Any) -> Any:
     del results
     is_exported = ctx.module_context.lowering_parameters.for_export
-    return mlir.lower_fun(_of_leaves(portable if is_exported else native, structure))(ctx, *leaves)
+    return _lowered(portable if is_exported else native, structure, ctx, leaves)
+
+
+def _lowered(function: Callable[..., Any], structure: Any, ctx: Any, leaves: Sequence[Any]) -> Any:
+    """Operations of a function, on one device: how arrays are distributed was settled when it was traced."""
+
+    def of_leaves(*leaves: Any) -> list[Any]:
+        return jax.tree.leaves(function(*jax.tree.unflatten(structure, leaves)))
+
+    on_one = ctx.replace(avals_in=[jax.core.ShapedArray(x.shape, x.dtype) for x in ctx.avals_in])
+    return mlir.lower_fun(of_leaves)(on_one, *leaves)
 
 
 mlir.register_lowering(_either, _lower)

@@ -12,11 +12,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from jaxgeo._native import TARGET
 from jaxgeo._numerics import tree_where
-from jaxgeo._typing import Index
+from jaxgeo._typing import Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.field import AbstractField, BoundedField, ConstantField, LineField, SumField
 from jaxgeo.terrain.search.batched import at_start, listed
@@ -31,7 +31,7 @@ from jaxgeo.terrain.track import Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-BLOCK = 4096  # rays at a time: all that is computed of them fits a core's cache
+BLOCK = 16_384  # rays at a time: enough to share among cores, few enough for their caches
 FEW = 256  # of those that are left of a block, at a time
 POSTS = "float64 float32 int8 uint8 int16 uint16 int32 uint32".split()
 
@@ -92,19 +92,18 @@ def _one_round(walker: Walker, track: Track, way: Way, ground: Ground) -> tuple[
     """Every ray with a track walks to its first event, or to the track's end; there it requests the next one."""
     walks = ~walker.fresh & ~walker.is_over
     heights, field = _heights(ground)
-    news, begin, root, below, row, col = _first_events(walker, track, walks, ground.shared, heights, field)
+    news, *taus, row, col = _first_events(walker, track, walks, ground.shared, heights, field)
     walker = eqx.tree_at(lambda w: (w.news, w.is_over), walker, (news, walker.is_over | happened(news)))
-    found = Found(
-        begin=track.range_at(begin),
-        near=track.range_at(root),
-        below=track.range_at(below),
-        cell=jnp.stack([row, col], axis=1),
-        news=news,
-        tracks=walker.tracks,
-        is_above=track.height.at(jnp.ones_like(begin)) >= heights[0],
-    )
+    cell = jnp.stack([row, col], axis=1)
+    found = jax.vmap(_found)(walker, track, taus, cell, jnp.broadcast_to(heights[0], news.shape))
     onwards = jax.vmap(next_section)(walker, way)
     return jax.vmap(tree_where)(walks & ~happened(news), onwards, walker), found
+
+
+def _found(walker: Walker, track: Track, taus: list[Scalar], cell: Int[Array, "2"], ceiling: Scalar) -> Found:
+    is_above = track.height.at(jnp.asarray(1.0)) >= ceiling
+    ranges = (track.range_at(tau) for tau in taus)
+    return Found(*ranges, cell=cell, news=walker.news, tracks=walker.tracks, is_above=is_above)
 
 
 def _first_events(
