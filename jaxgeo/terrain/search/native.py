@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 BLOCK = 16_384  # rays at a time: enough to share among cores, few enough for their caches
-FEW = 256  # of those that are left of a block, at a time
+FEW = 1024  # of those that are left of a block, at a time
 POSTS = "float64 float32 int8 uint8 int16 uint16 int32 uint32".split()
 
 
