@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 from jax.sharding import PartitionSpec
 
-SWITCH = "JAXGEO_NATIVE"  # environment variable; 0: the package is not used
+SWITCH = "JAXGEO_NATIVE"  # environment variable; 0: the package is not used; avx2, plain: with vectors no wider
 INTERFACE = 1  # of the arrays that the native search takes
 TARGET = f"jaxgeo_first_events_{INTERFACE}"
 T = TypeVar("T")
@@ -113,7 +114,7 @@ def _lowered(function: Callable[..., Any], structure: Any, ctx: Any, leaves: Seq
     def of_leaves(*leaves: Any) -> list[Any]:
         return jax.tree.leaves(function(*jax.tree.unflatten(structure, leaves)))
 
-    on_one = ctx.replace(avals_in=[jax.core.ShapedArray(x.shape, x.dtype) for x in ctx.avals_in])
+    on_one = ctx.replace(avals_in=[ShapedArray(x.shape, x.dtype) for x in ctx.avals_in])
     return mlir.lower_fun(of_leaves)(on_one, *leaves)
 
 

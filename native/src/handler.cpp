@@ -2,8 +2,10 @@
 
 #include <atomic>
 #include <condition_variable>
+#include <cstdlib>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <vector>
 
 #include "walk.h"
@@ -14,10 +16,14 @@ namespace {
 
 namespace ffi = xla::ffi;
 
+// The kernels with the widest vectors that this processor has, or that JAXGEO_NATIVE (plain, avx2) allows.
 Walk best_walk() {
 #if defined(JAXGEO_X86)
+  const char* given = std::getenv("JAXGEO_NATIVE");
+  const std::string limit = given == nullptr ? "" : given;
+  if (limit == "plain") return plain::walk;
   __builtin_cpu_init();
-  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
+  if (limit != "avx2" && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
       __builtin_cpu_supports("avx512bw"))
     return avx512::walk;
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return avx2::walk;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pathlib
 import subprocess
 import sys
 from collections.abc import Callable
@@ -282,6 +283,32 @@ def test_several_devices() -> None:
     path = os.pathsep.join(sys.path)
     environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": path}
     subprocess.run([sys.executable, "-c", OF_TWO_DEVICES], check=True, env=environment)
+
+
+OF_OTHER_VECTORS = """
+import sys, jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+from tests.terrain.test_native import COUNT, TERRAINS, all_rays, _by_native
+for number, name in enumerate(sys.argv[2:]):
+    dem = TERRAINS[name]()
+    found = _by_native(all_rays(dem, COUNT, seed=11), dem, None, None)
+    np.savez(f"{sys.argv[1]}/{number}.npz", status=found.status, ecef=found.ecef)
+"""
+
+
+@needs_native
+@pytest.mark.parametrize("vectors", ["avx2", "plain"])
+def test_other_vectors(vectors: str, tmp_path: pathlib.Path) -> None:
+    """Of those that the processor has; in a process of its own, which chooses once."""
+    names = ["float64, tangent", "float32, voids, geographic"]
+    environment = {**os.environ, _native.SWITCH: vectors, "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", OF_OTHER_VECTORS, str(tmp_path), *names], check=True, env=environment)
+    for number, name in enumerate(names):
+        dem = TERRAINS[name]()
+        expected = _by_native(all_rays(dem, COUNT, seed=11), dem, None, None)
+        with np.load(tmp_path / f"{number}.npz") as found:
+            np.testing.assert_array_equal(found["status"], expected.status)
+            np.testing.assert_allclose(found["ecef"], expected.ecef, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("interface", [0, 999])
