@@ -17,7 +17,7 @@ from jax.sharding import PartitionSpec
 
 SWITCH = "JAXGEO_NATIVE"  # environment variable; 0: the package is not used; avx2, plain: with vectors no wider
 INTERFACE = 1  # of the arrays that the native search takes
-FIRST_EVENTS, TRACKS = (f"jaxgeo_{name}_{INTERFACE}" for name in ("first_events", "tracks"))
+TARGET = f"jaxgeo_first_events_{INTERFACE}"
 T = TypeVar("T")
 
 _lock = threading.Lock()
@@ -43,8 +43,7 @@ def _registered() -> str | None:
     try:
         if jaxgeo_native.INTERFACE != INTERFACE:
             raise RuntimeError(f"it has interface {jaxgeo_native.INTERFACE}, and this version of jaxgeo {INTERFACE}")
-        for target, name in ((FIRST_EVENTS, "first_events"), (TRACKS, "tracks")):
-            jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(jaxgeo_native.function(name)), platform="cpu")
+        jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(jaxgeo_native.function()), platform="cpu")
     except Exception as error:  # of another version of XLA, or another processor
         warnings.warn(
             f"jaxgeo_native is installed but cannot be used ({error}): searches run without it. Build it again with "

@@ -58,7 +58,7 @@ class AbstractGrid(Record):
 
     def _from_reference(self, a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
         """Row and column of an offset from the reference point, in the units of the steps."""
-        row, col = times(inverse(self.step), (a, b))  # pyright: ignore[reportAttributeAccessIssue]
+        row, col = times(_inverse(self.step), (a, b))  # pyright: ignore[reportAttributeAccessIssue]
         row0, col0 = self.rowcol0
         return row0 + row, col0 + col
 
@@ -216,7 +216,7 @@ class FittedGrid(AbstractGrid):
     def normal(self, rowcol: RowCol) -> Vector3:
         plane = chebyshev_map(self.inverse, (rowcol - self.rowcol0) / self.rowcol_half)
         slope = jax.jacfwd(self._rowcol_of_plane)(plane)
-        plane = plane - jnp.stack(times(inverse(slope), self._rowcol_of_plane(plane) - rowcol))
+        plane = plane - jnp.stack(times(_inverse(slope), self._rowcol_of_plane(plane) - rowcol))
         return _normal_of_plane(self.R_enu_from_ecef, plane * self.plane_half)
 
     def _with_steps(self, factor: float) -> FittedGrid:
@@ -275,8 +275,7 @@ def _normal_of_plane(R_enu_from_ecef: Num[Array, "3 3"], plane: Float[Array, "2"
     return R_enu_from_ecef.T @ (enu / jnp.sqrt(jnp.sum(enu**2)))
 
 
-def inverse(m: Float[Array, "2 2"]) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-    """Inverse of a small matrix, by rows."""
+def _inverse(m: Float[Array, "2 2"]) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     (a, b), (c, d) = m
     shrinking = 1.0 / (a * d - b * c)
     return (d * shrinking, -b * shrinking), (-c * shrinking, a * shrinking)

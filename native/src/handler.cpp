@@ -16,29 +16,19 @@ namespace {
 
 namespace ffi = xla::ffi;
 
-struct Kernels {
-  Walk walk;
-  MakeTracks make_tracks;
-};
-
-// Those with the widest vectors that this processor has, or that JAXGEO_NATIVE (plain, avx2) allows.
-Kernels best_kernels() {
+// The kernels with the widest vectors that this processor has, or that JAXGEO_NATIVE (plain, avx2) allows.
+Walk best_walk() {
 #if defined(JAXGEO_X86)
   const char* given = std::getenv("JAXGEO_NATIVE");
   const std::string limit = given == nullptr ? "" : given;
+  if (limit == "plain") return plain::walk;
   __builtin_cpu_init();
-  if (limit != "avx2" && limit != "plain" && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
-      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw"))
-    return {avx512::walk, avx512::make_tracks};
-  if (limit != "plain" && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
-    return {avx2::walk, avx2::make_tracks};
+  if (limit != "avx2" && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
+      __builtin_cpu_supports("avx512bw"))
+    return avx512::walk;
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return avx2::walk;
 #endif
-  return {plain::walk, plain::make_tracks};
-}
-
-const Kernels& kernels() {
-  static const Kernels best = best_kernels();
-  return best;
+  return plain::walk;
 }
 
 // Chunks of a call, taken one by one by the calling thread and by those of the pool.
@@ -64,13 +54,12 @@ struct Work {
   }
 };
 
-// Rays in chunks, `each` from a first to before a last one, shared among the threads of the pool.
-template <class Each>
-void in_chunks(ffi::ThreadPool& pool, int64_t rays, const Each& of_rays) {
+void walk_all(ffi::ThreadPool& pool, const Terrain& terrain, const Tracks& tracks, const Events& events, int64_t rays) {
+  static const Walk walk = best_walk();
   const int64_t chunks = (rays + CHUNK - 1) / CHUNK;
   const auto each = [=](int64_t chunk) {
     const int64_t last = (chunk + 1) * CHUNK;
-    of_rays(chunk * CHUNK, last < rays ? last : rays);
+    walk(terrain, tracks, events, chunk * CHUNK, last < rays ? last : rays);
   };
   const int64_t threads = pool.num_threads(), helpers = (chunks < threads ? chunks : threads) - 1;
   if (helpers <= 0) {
@@ -198,26 +187,7 @@ ffi::Error first_events(ffi::ThreadPool pool, ffi::RemainingArgs args, Integers 
   const Events events = {news->typed_data(),
                          {begin->typed_data(), root->typed_data(), below->typed_data()},
                          {row->typed_data(), col->typed_data()}};
-  in_chunks(pool, static_cast<int64_t>(news->element_count()), [=](int64_t first, int64_t last) {
-    kernels().walk(terrain, tracks, events, first, last);
-  });
-  return ffi::Error::Success();
-}
-
-ffi::Error tracks(ffi::ThreadPool pool, ffi::Buffer<ffi::F64> origin, ffi::Buffer<ffi::F64> direction,
-                  ffi::Buffer<ffi::F64> start, ffi::Buffer<ffi::F64> end, ffi::Buffer<ffi::F64> numbers,
-                  ffi::RemainingRets coefficients, int64_t kind) {
-  const double* n = numbers.typed_data();
-  const Map map = {static_cast<MapKind>(kind), n + 8, n[0], n[1], n[2], n[3], {n[4], n[5]}, {n[6], n[7]}};
-  MadeTracks made;
-  for (int k = 0; k < 16; ++k) {
-    auto result = coefficients.get<ffi::AnyBuffer>(k);
-    if (result.has_error()) return ffi::Error::InvalidArgument("tracks have 15 coefficients and an error");
-    (k < 15 ? made.coefficients[k] : made.error) = static_cast<double*>((*result)->untyped_data());
-  }
-  const Lines lines = {origin.typed_data(), direction.typed_data(), start.typed_data(), end.typed_data()};
-  in_chunks(pool, static_cast<int64_t>(start.element_count()),
-            [=](int64_t first, int64_t last) { kernels().make_tracks(lines, map, made, first, last); });
+  walk_all(pool, terrain, tracks, events, static_cast<int64_t>(news->element_count()));
   return ffi::Error::Success();
 }
 
@@ -237,14 +207,4 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxgeo_first_events, jaxgeo::first_events,
                                   .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
                                   .Attr<int64_t>("constants")
                                   .Attr<int64_t>("lines"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxgeo_tracks, jaxgeo::tracks,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .RemainingRets()
-                                  .Attr<int64_t>("kind"));
 #pragma GCC visibility pop

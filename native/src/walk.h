@@ -56,33 +56,11 @@ struct Events {
 
 using Walk = void (*)(const Terrain&, const Tracks&, const Events&, int64_t first, int64_t last);
 
-// Straight rays in ECEF (n, 3), and the ranges between which their tracks are wanted.
-struct Lines {
-  const double *origin, *direction, *start, *end;
-};
-
-// The map of a grid: offsets from a reference point by its `numbers`, then row and column by the offsets.
-enum class MapKind { geographic, tangent };
-struct Map {
-  MapKind kind;
-  const double* numbers;
-  double along, across;  // m per row and per column
-  double row, col, row_by[2], col_by[2];
-};
-
-struct MadeTracks {
-  double* coefficients[15];
-  double* error;
-};
-
-using MakeTracks = void (*)(const Lines&, const Map&, const MadeTracks&, int64_t first, int64_t last);
-
 constexpr int64_t CHUNK = 1024;  // rays that one call of a walk takes at most
 
 #define JAXGEO_DECLARE_WALK(name) \
   namespace name {                \
   void walk(const Terrain&, const Tracks&, const Events&, int64_t first, int64_t last); \
-  void make_tracks(const Lines&, const Map&, const MadeTracks&, int64_t first, int64_t last); \
   }
 JAXGEO_DECLARE_WALK(plain)
 JAXGEO_DECLARE_WALK(avx2)

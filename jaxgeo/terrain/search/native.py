@@ -1,7 +1,6 @@
 """First-hit walk by the native search of the package `jaxgeo_native`, over the same tracks as the walk in JAX.
 
-The native search makes the tracks of straight rays over geographic and tangent grids; for other grids, and for
-refracted rays, they are made in JAX. It
+Tracks are made here, for any grid and for refracted rays. The native search
 walks each ray along its track to the first event or the track's end, in lanes of its own, and finds the root.
 """
 
@@ -13,29 +12,27 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
-from jaxgeo._native import FIRST_EVENTS, TRACKS
+from jaxgeo._native import TARGET
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.field import AbstractField, BoundedField, ConstantField, LineField, SumField
-from jaxgeo.terrain.grid import AbstractGrid, GeographicGrid, TangentGrid, inverse
-from jaxgeo.terrain.search.batched import Rays, at_start, listed
+from jaxgeo.terrain.search.batched import at_start, listed
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.found import Found
 from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.terrain.search.march import happened
 from jaxgeo.terrain.search.reach import Way
-from jaxgeo.terrain.search.walker import Walker, next_section, no_tracks, on_track
-from jaxgeo.terrain.track import Quartic, Track, make_track
+from jaxgeo.terrain.search.walker import Walker, new_track, next_section, no_tracks
+from jaxgeo.terrain.track import Track
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 BLOCK = 16_384  # rays at a time: enough to share among cores, few enough for their caches
 FEW = 1024  # of those that are left of a block, at a time
-GEOGRAPHIC, TANGENT = 0, 1  # maps of grids
 POSTS = "float64 float32 int8 uint8 int16 uint16 int32 uint32".split()
 
 
@@ -87,35 +84,8 @@ def _to_the_end(walker: Walker, track: Track, ray: Ray, way: Way, ground: Ground
 
 
 def _with_new_tracks(walker: Walker, track: Track, ray: Ray, ground: Ground, way: Way) -> tuple[Walker, Track]:
-    end = walker.passed + walker.length
-    known = _map_of(ground.shared.grid)
-    if ray.bending is None and known is not None:
-        fresh = _tracks(ray, walker.passed, end, *known)
-    else:
-        fresh = jax.vmap(make_track, (0, None, 0, 0))(ray, ground.shared, walker.passed, end)
-    after = jax.vmap(on_track, (0, 0, None, 0))(walker, fresh, ground.shared, way)
+    after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, ground.shared, way)
     return after, jax.vmap(tree_where)(walker.fresh, fresh, track)
-
-
-def _map_of(grid: AbstractGrid) -> tuple[int, Float[Array, " numbers"]] | None:
-    """Kind and numbers of a grid's map; None if the native search does not know it."""
-    if type(grid) is GeographicGrid:
-        lon0, lat0 = jnp.asarray(grid.lonlat0)
-        kind, numbers = GEOGRAPHIC, [jnp.cos(lon0), jnp.sin(lon0), lat0]
-    elif type(grid) is TangentGrid:
-        kind, numbers = TANGENT, [*jnp.asarray(grid.R_enu_from_ecef).reshape(-1), *jnp.asarray(grid.plane0)]
-    else:
-        return None
-    (a, b), (c, d) = inverse(jnp.asarray(grid.step))
-    return kind, jnp.stack([*grid.cell_size(), *jnp.asarray(grid.rowcol0), a, b, c, d, *numbers])
-
-
-def _tracks(ray: Ray, start: Rays, end: Rays, kind: int, numbers: Float[Array, " numbers"]) -> Track:
-    number = jax.ShapeDtypeStruct(start.shape, np.float64)
-    call = jax.ffi.ffi_call(TRACKS, [number] * 16)
-    *coefficients, error = call(ray.origin, ray.direction, start, end, numbers, kind=np.int64(kind))
-    row, col, height = (Quartic(*coefficients[k : k + 5]) for k in (0, 5, 10))
-    return Track(row, col, height, 0.5 * (start + end), 0.5 * (end - start), error)
 
 
 def _one_round(walker: Walker, track: Track, way: Way, ground: Ground) -> tuple[Walker, Found]:
@@ -147,7 +117,7 @@ def _first_events(
     args += [part for line in lines for part in (line.values, line.first, line.step)]
     count = walker.here.shape
     number, integer = jax.ShapeDtypeStruct(count, np.float64), jax.ShapeDtypeStruct(count, np.int32)
-    call = jax.ffi.ffi_call(FIRST_EVENTS, [integer, number, number, number, integer, integer])
+    call = jax.ffi.ffi_call(TARGET, [integer, number, number, number, integer, integer])
     return list(call(*args, constants=np.int64(len(constants)), lines=np.int64(len(lines))))
 
 

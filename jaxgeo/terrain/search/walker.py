@@ -80,18 +80,13 @@ def next_stop(passed: Scalar, way: Way) -> Scalar:
 
 
 def new_track(walker: Walker, ray: Ray, dem: Dem, way: Way) -> tuple[Walker, Track]:
-    """Give a ray that requests it the next track, and start to walk it (see `on_track`)."""
-    track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
-    return on_track(walker, track, dem, way), track
-
-
-def on_track(walker: Walker, track: Track, dem: Dem, way: Way) -> Walker:
-    """Start a ray that requests it on its next track, if accurate.
+    """Give a ray that requests it the next track, if accurate, and start to walk it.
 
     The first track starts where the ray sinks below the ceiling. If that is not over the grid, the walk starts where
     the ray comes near the grid, to detect its entry. An inaccurate track is tried again with half the length, down to a
     `LEAP`, over which longitude jumps by a full turn: the ray behind it is on the other side of the grid.
     """
+    track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
     is_true = (track.error < TRACK_TOLERANCE) & (2.0 * track.speed() < 2.0**FINEST)
     is_true |= (walker.length <= SHORTEST_TRACK) & (track.error < walker.length)
     leaps = ~is_true & (walker.length <= LEAP)
@@ -113,7 +108,7 @@ def on_track(walker: Walker, track: Track, dem: Dem, way: Way) -> Walker:
         begun=walker.begun | good,
         is_over=walker.tracks >= MOST_TRACKS,
     )
-    return tree_where(walker.fresh & ~walker.is_over, after, walker)
+    return tree_where(walker.fresh & ~walker.is_over, after, walker), track
 
 
 def after_track(walker: Walker, stretch: Stretch, way: Way) -> Walker:
