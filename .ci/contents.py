@@ -11,7 +11,18 @@ import tarfile
 import zipfile
 
 PACKAGE = "jaxgeo"
-WHOLE = (".ci", ".github", "benchmarks", "docs", "notebooks", "tests", "tools", PACKAGE)  # folders of the sdist
+# Folders of the sdist.
+WHOLE = (
+    ".ci",
+    ".github",
+    "benchmarks",
+    "docs",
+    "native",
+    "notebooks",
+    "tests",
+    "tools",
+    PACKAGE,
+)
 META = ("CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "LICENSE", "README.md")
 FILES = (*META, ".pre-commit-config.yaml", "Containerfile", "mkdocs.yml", "pyproject.toml")
 

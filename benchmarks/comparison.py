@@ -137,7 +137,7 @@ def _wrongs(ready: dict[str, Entry], job: jobs.Job) -> Table:
     table = Table(f"Wrong answers among {distance.size} rays", list(WRONGS))
     for name, entry in ready.items():
         surface = entry.peer.facts.surface
-        row: list[Any] = [name, surface, *_judged(entry.ranges, distance, closest)]
+        row: list[Any] = [name, surface, *judged(entry.ranges, distance, closest)]
         own = None
         try:
             own = entry.peer.own_surface()
@@ -146,7 +146,7 @@ def _wrongs(ready: dict[str, Entry], job: jobs.Job) -> Table:
         if own is None:
             row += [None] * 4
         else:
-            near, far, _, _, middle, farthest = _judged(entry.ranges, own, np.full(own.shape, np.inf))
+            near, far, _, _, middle, farthest = judged(entry.ranges, own, np.full(own.shape, np.inf))
             row += [near, far, middle, farthest]
         table.rows.append(row)
     table.notes += [
@@ -159,7 +159,7 @@ def _wrongs(ready: dict[str, Entry], job: jobs.Job) -> Table:
     return table
 
 
-def _judged(found: np.ndarray, expected: np.ndarray, closest: np.ndarray) -> tuple[int, int, int, int, float, float]:
+def judged(found: np.ndarray, expected: np.ndarray, closest: np.ndarray) -> tuple[int, int, int, int, float, float]:
     """(wrong by > 1 mm, by > 1 m, unanswered, ties, median distance, farthest); a miss in both counts as right."""
     both_miss = np.isnan(found) & np.isnan(expected)
     away = np.where(both_miss, 0.0, np.abs(found - expected))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import pathlib
 import sys
 import tempfile
@@ -15,6 +16,8 @@ import numpy as np
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests"))
 sys.path.insert(0, str(HERE.parent))
+if getattr(importlib.util.find_spec("coverage"), "origin", None) is None:
+    sys.modules["coverage"] = None  # type: ignore[assignment]  # else numba takes the folder tests/coverage for it
 
 from first_hit import SPACING, all_sights, exhaustive, mountains  # noqa: E402
 from support.fractal import Sight, TangentTerrain, fractal_posts, random_sights, sights  # noqa: E402

@@ -20,6 +20,7 @@ import comparison
 import growing
 import jobs
 import measuring
+import orders
 import parts
 import peers
 
@@ -65,7 +66,10 @@ def main() -> None:
     o = _options()
     sides = [int(side) for side in o.side.split(",")]
     tasks: dict[str, Callable[[], list[measuring.Table]]] = {
-        "a": lambda: comparison.compare(o.peers.split(","), o.rays, o.repeats, o.cache),
+        "a": lambda: [
+            *comparison.compare(o.peers.split(","), o.rays, o.repeats, o.cache),
+            *orders.compare(o.rays, o.repeats, o.cache),
+        ],
         "b": lambda: growing.growth(sides, o.rays, o.largest, o.repeats, o.budget, o.cache),
         "c": lambda: parts.batches(o.rays, o.repeats, o.cache),
         "d": lambda: parts.searches(min(o.rays, 2000), o.repeats),

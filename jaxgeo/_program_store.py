@@ -24,6 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._native import identity, is_native
+
 try:
     import fcntl
 except ImportError:  # Windows
@@ -222,13 +224,14 @@ def _settings() -> tuple[Any, ...]:
 
 
 def _environment() -> str:
-    """Versions, code of this package, compiler flags, settings and device that programs depend on."""
+    """Versions, code of this package, compiler flags, settings, device and native search that programs depend on."""
     settings = [
         f"{name} {value}"
         for name, value in sorted(jax.config.values.items())
         if not any(word in name for word in WITHOUT_EFFECT)
     ]
-    return "\n".join([*_versions(), *settings, os.environ.get("XLA_FLAGS", "")])
+    native = identity() if is_native() else None
+    return "\n".join([*_versions(), *settings, os.environ.get("XLA_FLAGS", ""), f"native search {native}"])
 
 
 @functools.cache

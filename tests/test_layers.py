@@ -13,7 +13,7 @@ LAYERS = [
     (
         "_typing _checks _compile _digest _elementary _export _numerics _record status least_squares _destination "
         "_partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
-        "_parallel _sweep _sweep_store batches _accelerator _blas_threads"
+        "_parallel _sweep _sweep_store batches _accelerator _blas_threads _native"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
@@ -42,6 +42,7 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"_compile", "_checks"}),
     frozenset({"_compile", "_program_cache"}),
     frozenset({"_compile", "_program_store"}),
+    frozenset({"_program_store", "_native"}),
     frozenset({"batches", "_compile"}),
     frozenset({"batches", "_accelerator"}),
     frozenset({"_sweep", "_sweep_store"}),

@@ -80,7 +80,7 @@ def imported_in(folder: str) -> set[str]:
 def test_every_dependency_is_imported_and_every_import_is_one(pyproject: dict[str, Any]) -> None:
     project = pyproject["project"]
     extras = project["optional-dependencies"]
-    ours = {"jaxgeo"}
+    ours = {"jaxgeo", "jaxgeo_native"}  # the latter is built from native/, where it is wanted
     base = brought(project["dependencies"])
     of_extras = {name: brought(extras[name]) for name in OF_PACKAGE}
     assert imported_in("jaxgeo") - ours == base.union(*of_extras.values())
@@ -127,6 +127,8 @@ def test_the_package_tells_its_version(pyproject: dict[str, Any]) -> None:
 def test_the_version_has_one_place(pyproject: dict[str, Any]) -> None:
     version = pyproject["project"]["version"]
     assert importlib.metadata.version("jaxgeo") == version
+    native = tomllib.loads((ROOT / "native" / "pyproject.toml").read_text(encoding="utf-8"))
+    assert native["project"]["version"] == version
     for path in (ROOT / "jaxgeo").rglob("*.py"):
         assert not re.search(r"^__version__\s*=", path.read_text(encoding="utf-8"), re.MULTILINE), path
 

@@ -40,3 +40,24 @@ class Embreex(TrianglePeer):
 
     def ranges(self, answer: Any) -> np.ndarray:
         return self.sight.start + np.where(answer > 1e30, np.nan, answer.astype(float))
+
+
+class EmbreexFixes(Embreex):
+    """The traversal, and by numba from its triangle to the bilinear surface, latitude, longitude and height."""
+
+    facts = Facts(
+        package="embreex",
+        input="float32 rays from the ceiling, made beforehand, and ECEF rays",
+        frame="east, north, up at the terrain's middle; then ECEF",
+        precision="float32, robust; then float64",
+        surface="bilinear",
+        threads="1; then all",
+        notes="position and range",
+    )
+
+    def run(self) -> np.ndarray:
+        kernels: Any = importlib.import_module("peers.numba_kernels")
+        at = self.ranges(super().run())
+        terrain, sight = self.terrain, self.sight
+        scale = terrain.radii / terrain.spacing
+        return kernels.finish(terrain.posts, sight.origin, sight.direction, at, terrain.axes, scale, terrain.middle)

@@ -266,3 +266,50 @@ def walk_polylines(posts, tops, polylines):
                     hits[k, q] = c[0, q] + found * c[1, q]
                 break
     return hits
+
+
+@numba.njit
+def _over(p, axes, scale, middle):
+    """(row, col, height) of an ECEF point, and its normal."""
+    nx, ny, nz, h = normal_and_height(p[0], p[1], p[2])
+    east = axes[0, 0] * nx + axes[0, 1] * ny + axes[0, 2] * nz
+    north = axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * nz
+    up = axes[2, 0] * nx + axes[2, 1] * ny + axes[2, 2] * nz
+    return middle[0] - north / up * scale[0], middle[1] + east / up * scale[1], h, (nx, ny, nz)
+
+
+@numba.njit(parallel=True)
+def finish(posts, origin, direction, ranges, axes, scale, middle):
+    """(n, 4) latitude, longitude in rad, height and range in m where rays meet the bilinear surface near `ranges`.
+
+    By Newton steps; NaN for a miss.
+    """
+    count = origin.shape[0]
+    found = np.full((count, 4), np.nan)
+    rows, cols = posts.shape
+    for k in numba.prange(count):
+        at, o, d = ranges[k], origin[k], direction[k]
+        if math.isnan(at):
+            continue
+        lat = lon = height = np.nan
+        for _ in range(6):
+            row, col, height, n = _over((o[0] + at * d[0], o[1] + at * d[1], o[2] + at * d[2]), axes, scale, middle)
+            lat, lon = math.atan2(n[2], math.hypot(n[0], n[1])), math.atan2(n[1], n[0])
+            if not (0.0 <= row < rows - 1 and 0.0 <= col < cols - 1):
+                break
+            i, j = int(row), int(col)
+            u, v = row - i, col - j
+            low, high = posts[i, j + 1] - posts[i, j], posts[i + 1, j + 1] - posts[i + 1, j]
+            near, far = posts[i, j] + low * v, posts[i + 1, j] + high * v
+            # the ray over the grid, as if the Earth were level here: 1e-3 of the slope at most
+            east = axes[0, 0] * d[0] + axes[0, 1] * d[1] + axes[0, 2] * d[2]
+            north = axes[1, 0] * d[0] + axes[1, 1] * d[1] + axes[1, 2] * d[2]
+            by_row, by_col = far - near, low * (1.0 - u) + high * u
+            climb = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
+            slope = climb - (by_col * east * scale[1] - by_row * north * scale[0]) / A
+            step = (height - near - (far - near) * u) / slope
+            at -= step
+            if abs(step) < 1e-4:
+                found[k, 0], found[k, 1], found[k, 2], found[k, 3] = lat, lon, height - climb * step, at
+                break
+    return found

@@ -63,6 +63,27 @@ class NumbaWalkFromEcef(NumbaWalk):
         return super().run()
 
 
+class NumbaFixes(NumbaWalkFromEcef):
+    """The same, with latitude, longitude and height of the points."""
+
+    facts = Facts(
+        package="numba",
+        input="ECEF rays",
+        frame="ECEF; DEM grid, curved tracks true to 1e-9 m",
+        precision="float64",
+        surface="bilinear",
+        threads="all",
+        notes="written for this comparison; position and range",
+    )
+
+    def run(self) -> np.ndarray:
+        at, terrain, sight = super().run(), self.terrain, self.sight
+        scale = terrain.radii / terrain.spacing
+        return numba_kernels.finish(
+            terrain.posts, sight.origin, sight.direction, at, terrain.axes, scale, terrain.middle
+        )
+
+
 def bounds_of(terrain: TangentTerrain) -> tuple[float, float]:
     """Heights one metre above and below all posts."""
     return float(terrain.posts.max()) + 1.0, float(terrain.posts.min()) - 1.0

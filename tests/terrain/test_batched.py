@@ -9,6 +9,7 @@ import pytest
 from support.scenes import flat, hit, local_ray, rough, small_dem, stack
 
 from jaxgeo import Dem, Geodetic, Ray, Status, _accelerator, intersect
+from jaxgeo._native import SWITCH
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.terrain.search import batched, first_hit
@@ -44,6 +45,7 @@ def test_a_part_of_a_batch_is_answered_like_the_whole(mountains, together, count
 def test_a_part_in_small_blocks_many_rounds_and_bundles_is_answered_like_the_whole(mountains, together, monkeypatch):
     """The sizes of blocks are read when a number of rays is first traced, so no other test has as many."""
     count, made = 700, []
+    monkeypatch.setenv(SWITCH, "0")
     monkeypatch.setattr(batched, "LARGE_BLOCK", 512)
     monkeypatch.setattr(batched, "SMALL_BLOCK", 64)
     monkeypatch.setattr(batched, "_first_pass", lambda *args, first=batched._first_pass: made.append(0) or first(*args))

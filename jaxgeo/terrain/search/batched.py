@@ -71,15 +71,15 @@ def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None = None) -> tu
     if count > SMALL_BLOCK:
         store, waiting, left = _first_pass(ray, way, ground, beam)
     else:
-        store = Store.of(*_at_start(ray, way, ground, beam))
+        store = Store.of(*at_start(ray, way, ground, beam))
         walker, _ = store.unpacked()
-        waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
+        waiting, left = listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
     most = by_device(SMALL_BLOCK if beam is None else FEW, SMALL_ACCELERATOR)
     store = _rounds(store, waiting, left, ray, way, ground, most)
     return store.unpacked()
 
 
-def _at_start(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Walker, Track]:
+def at_start(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Walker, Track]:
     """Every ray at the start of its reach, needing a track, or at the start of the beam, with one."""
     walker = jax.vmap(Walker.at_start)(way)
     if beam is None or ray.bending is not None:
@@ -108,7 +108,7 @@ def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[
         first = number * size
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
         (here_ray, here_way), here = jax.tree.map(part, (ray, way)), ground.of_rays(part)
-        walker, track = _at_start(here_ray, here_way, here, beam)
+        walker, track = at_start(here_ray, here_way, here, beam)
         if beam is None:
             walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way)
             walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
@@ -117,7 +117,7 @@ def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[
         done = Store.of(walker, track)
         store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
         index = first + jnp.arange(size, dtype=jnp.int32)
-        newcomers, more = _listed(index, ~walker.is_over)
+        newcomers, more = listed(index, ~walker.is_over)
         return store, jax.lax.dynamic_update_slice(waiting, newcomers, (left,)), left + more
 
     zero = nothing_like(way.start[0])
@@ -148,7 +148,7 @@ def _rounds(
         walker = _one_round(walker, track, here, here_way, few=jnp.where(left > size, size // share, 0), left=left)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda x, some: x.at[:, index].set(some, mode="drop", unique_indices=True), store, done)
-        newcomers, some = _listed(index, ~walker.is_over)
+        newcomers, some = listed(index, ~walker.is_over)
         return store, waiting, jax.lax.dynamic_update_slice(following, newcomers, (more,)), left, more + some
 
     def one_round(state):
@@ -239,7 +239,7 @@ def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, way: Way,
     return jax.lax.cond(jnp.sum(walker.fresh & ~walker.is_over) > few, made, lambda: (walker, track))
 
 
-def _listed(index: Int[Array, " block"], chosen: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Index]:
+def listed(index: Int[Array, " block"], chosen: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Index]:
     """The chosen indices, in order, at the front; and their number."""
     size = index.shape[0]
     count = jnp.cumsum(chosen, dtype=jnp.int32)

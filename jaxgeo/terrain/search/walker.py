@@ -114,9 +114,14 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, way: Way) -> tuple[Walker, Tra
 def after_track(walker: Walker, stretch: Stretch, way: Way) -> Walker:
     """At the end of its track a ray without an event requests the next one, or is at its end."""
     at_end = ~walker.fresh & ~walker.is_over & (position_of(walker.here) >= stretch.count)
+    return tree_where(at_end, next_section(walker, way), walker)
+
+
+def next_section(walker: Walker, way: Way) -> Walker:
+    """A ray at the end of its track: it requests the next one, or is at its end."""
     passed = walker.passed + walker.length
     remaining = next_stop(passed, way) - passed
-    after = eqx.tree_at(
+    return eqx.tree_at(
         lambda w: (w.passed, w.length, w.fresh, w.is_over),
         walker,
         (
@@ -126,7 +131,6 @@ def after_track(walker: Walker, stretch: Stretch, way: Way) -> Walker:
             remaining <= AT_END * way.last,
         ),
     )
-    return tree_where(at_end, after, walker)
 
 
 def take_down(walker: Walker, stretch: Stretch, march: March, settled: Index) -> Walker:

@@ -1,0 +1,2 @@
+#define INSTRUCTION_SET plain
+#include "kernels.inc"
