@@ -42,6 +42,7 @@ class Status(enum.IntEnum):
     weak_intersection = 21
     file_not_read = 22
     below_horizon = 23
+    images_turned = 24
 
     @property
     def message(self) -> str:
@@ -79,6 +80,8 @@ _MESSAGES = {
     Status.weak_intersection: "The rays are too nearly parallel to intersect within their errors.",
     Status.file_not_read: "The file of the exposure could not be read; its row states the reason.",
     Status.below_horizon: "The Earth hides the point from the camera: it is below the horizon, whatever the terrain.",
+    Status.images_turned: "The images are turned against each other by more than 30 deg: they share an area, but no "
+    "lengths along and across a flight.",
 }
 
 

@@ -72,11 +72,14 @@ def test_the_take_off_is_on_the_ground_under_the_image(here: pathlib.Path) -> No
     assert any("take-off" in one for one in json.loads(found.stdout)["assumed"])
 
 
-def test_of_a_flight_it_is_the_earliest_exposure(here: pathlib.Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whatever the order of the rows."""
+@pytest.mark.parametrize("times", [None, ["1"], ["0.5", "2"]])
+def test_of_a_flight_it_is_the_earliest_exposure(
+    times: list[str] | None, here: pathlib.Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever the order of the rows, and whichever moments are asked for."""
     prepare(here, "locate --dem dem.tif")
     path = log(here, ("33.500", "31.000", "32.000"), (15, 3590, 5))
-    given = ReadingOptions(takeoff_height="dem", camera=CAMERA)
+    given = ReadingOptions(takeoff_height="dem", camera=CAMERA, times=times)
     found = with_known_heights(given, [path], None, ["dem.tif"], DemOptions())
     lat, lon = 36.3 + 1e-4, float(re.search(r"-84\.\d+", path.read_text())[0])  # type: ignore[index]
     assert float(found.takeoff_height or "nan") == pytest.approx(height_at(lat, lon), abs=1e-3)

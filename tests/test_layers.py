@@ -85,7 +85,7 @@ STATIC_NUMPY = {
     ("jaxgeo/uncertainty/radii.py", "_at_hand"): "leaves traced values as they are",
     **{
         ("jaxgeo/uncertainty/metrics/_host.py", name): "is for known values; None is returned for traced ones"
-        for name in ("host_radii", "_unit_radius", "_in_ball")
+        for name in ("host_radii", "_unit_radii", "_in_ball")
     },
 }
 

@@ -48,7 +48,9 @@ def with_known_heights(
     if reading.height_datum is not None:
         raise UserError("--takeoff-height dem is above the ellipsoid already; leave --camera-datum out.")
     enable_x64()
-    name, lat, lon = _first_exposure(dataclasses.replace(reading, takeoff_height="0"), list(files), scene)
+    # of the whole file: a flight has one take-off, whichever moments are asked for
+    whole = dataclasses.replace(reading, takeoff_height="0", times=[])
+    name, lat, lon = _first_exposure(whole, list(files), scene)
     height = _height_under(list(dem), of_dem, lat, lon)
     if not math.isfinite(height):
         raise UserError(

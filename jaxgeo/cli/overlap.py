@@ -42,7 +42,8 @@ CAPTION = (
     "near, far, least: along-track overlap at near edge, far edge, minimum, as a share of the first image's length; "
     "side: cross-track overlap, as a share of its width; area: share of its area"
 )
-HIT = "hit"
+HIT, TURNED = "hit", "images_turned"
+ANSWERS = HIT, TURNED
 BOTH = "Both footprints are complete and overlap."
 
 
@@ -101,7 +102,7 @@ def overlap_command(
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
             print_json("overlap", {"inputs": inputs, "pairs": pairs, "unread": images.unread})
-    if not any(row["status"] == HIT for row in rows):
+    if not any(row["status"] in ANSWERS for row in rows):
         raise typer.Exit(NO_ANSWER)
 
 

@@ -33,6 +33,8 @@ from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractTerrain
 
 STATIONS = 33
+SCANS = 257  # lines along the flight on which the common area is measured
+ALIKE = 0.5 * 3.0**0.5  # cosine of the largest turn between images that share lengths along and across a flight
 PlanePoint = Float[Array, "2"]
 PlanePoints = Float[Array, "stations 2"]
 
@@ -66,8 +68,9 @@ class Overlap(Record):
     each image's far end is beyond the other's near end), `area` the common share of its area. `step` is the distance in
     m on the map along the flight between the middles of the two near ends. `status` is that of an edge without ground,
     with all else NaN; `images_apart` without a common range across the flight: `side` is then negative, `area` zero,
-    and the overlaps along the flight are NaN; or `invalid_input`, with the same NaN, if one edge is not ahead of the
-    other everywhere: `along` is the wrong axis.
+    and the overlaps along the flight are NaN; `images_turned` if the images share ground but are turned against each
+    other by more than 30 deg: only the `area` is known; or `invalid_input`, with the overlaps along the flight NaN, if
+    one edge is not ahead of the other everywhere: `along` is the wrong axis.
     """
 
     near: ScalarField
@@ -226,27 +229,28 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     meets = far > near
     side_by_side = far - near
     across = near + jnp.where(meets, side_by_side, 1.0) * jnp.linspace(0.0, 1.0, stations)
-    lead, trail, next_lead, next_trail = (jnp.interp(across, y, x) for y, x in lines)
+    lead, trail, next_trail = (jnp.interp(across, *lines[k]) for k in (0, 1, 3))
     length = lead - trail
     is_ordered = jnp.all(length > 0.0) & (own_far > own_near) & (next_far > next_near)
     length = jnp.where(length > 0.0, length, 1.0)
     along = (lead - next_trail) / length
-    own_across = own_near + (own_far - own_near) * jnp.linspace(0.0, 1.0, stations)
-    own = jnp.interp(own_across, *lines[0]) - jnp.interp(own_across, *lines[1])
-    both = larger(smaller(lead, next_lead) - larger(trail, next_trail), 0.0)
     own_extent = jnp.where(own_far > own_near, own_far - own_near, 1.0)
-    whole = own_extent * jnp.where(_mean(own) > 0.0, _mean(own), 1.0)
-    area = jnp.where(meets, side_by_side * _mean(both) / whole, 0.0)
+    area = _shared_area(*(_ring(one, before.leading[0], side, direction) for one in (before, after)))
+    chords = [(one.leading + one.trailing)[-1] - (one.leading + one.trailing)[0] for one in (before, after)]
+    is_turned = dot(*chords) < ALIKE * safe_norm(chords[0]) * safe_norm(chords[1])
     step = dot(0.5 * (after.leading[0] + after.trailing[0]) - middle[0], direction)
     is_known = status == Status.hit
     status = status_where(is_known & ~meets, Status.images_apart, status)
     status = status_where(is_known & ~is_ordered & (meets | (own_far <= own_near)), Status.invalid_input, status)
-    meets &= is_ordered
+    turned = jnp.where(area > 0.0, Status.images_turned.code, Status.images_apart.code)
+    status = jnp.where(is_known & is_turned, turned, status)
+    meets &= is_ordered & ~is_turned
     of_meeting = (along[0], along[-1], jnp.min(along), along, across)
     sideways = jnp.stack([own_far - next_near, next_far - own_near]) / own_extent
-    of_both = (side_by_side / own_extent, sideways, area, step)
+    of_both = (side_by_side / own_extent, sideways, step)
     near_, far_, least, along, across = (jnp.where(is_known & meets, x, jnp.nan) for x in of_meeting)
-    side_, sideways, area, step = (jnp.where(is_known, x, jnp.nan) for x in of_both)
+    side_, sideways, step = (jnp.where(is_known & ~is_turned, x, jnp.nan) for x in of_both)
+    area = jnp.where(is_known, area, jnp.nan)
     return Overlap(near_, far_, least, along, across, side_, sideways, area, step, status)
 
 
@@ -290,6 +294,31 @@ def _reach(lines: list[tuple[Array, Array]]) -> tuple[Scalar, Scalar]:
     return larger(one[0], other[0]), smaller(one[-1], other[-1])
 
 
-def _mean(values: Float[Array, " stations"]) -> Scalar:
-    """Mean over evenly spaced stations, by the trapezoidal rule."""
-    return (jnp.sum(values) - 0.5 * (values[0] + values[-1])) / (values.shape[0] - 1)
+def _ring(edges: Edges, origin: PlanePoint, side: PlanePoint, direction: PlanePoint) -> PlanePoints:
+    """An image's outline, closed, as (distance across, distance along) from a place."""
+    outline = jnp.concatenate([edges.leading, edges.trailing[::-1], edges.leading[:1]]) - origin[None, :]
+    return jnp.stack([outline @ side, outline @ direction], axis=-1)
+
+
+def _shared_area(one: PlanePoints, other: PlanePoints) -> Scalar:
+    """The share of the area of one outline that is within another, by lines along the flight at even distances."""
+    whole = _common_area(one, one)
+    return _common_area(one, other) / jnp.where(whole > 0.0, whole, 1.0)
+
+
+def _common_area(one: PlanePoints, other: PlanePoints) -> Scalar:
+    near = larger(jnp.min(one[:, 0]), jnp.min(other[:, 0]))
+    width = smaller(jnp.max(one[:, 0]), jnp.max(other[:, 0])) - near
+    across = near + width * (jnp.arange(SCANS) + 0.5) / SCANS
+    (lowest, highest), (other_lowest, other_highest) = _cut(one, across), _cut(other, across)
+    both = larger(smaller(highest, other_highest) - larger(lowest, other_lowest), 0.0)
+    return jnp.where(width > 0.0, width * jnp.mean(both), 0.0)
+
+
+def _cut(ring: PlanePoints, across: Float[Array, " scans"]) -> tuple[Array, Array]:
+    """The first and the last crossing of an outline along lines at distances across."""
+    x, y, x_next, y_next = jnp.concatenate([ring[:-1].T, ring[1:].T])[:, None, :]
+    away = across[:, None]
+    crosses = (x <= away) != (x_next <= away)
+    at = y + (away - x) * (y_next - y) / jnp.where(x_next == x, 1.0, x_next - x)
+    return jnp.min(jnp.where(crosses, at, jnp.inf), axis=1), jnp.max(jnp.where(crosses, at, -jnp.inf), axis=1)

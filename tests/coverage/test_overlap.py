@@ -306,6 +306,26 @@ def test_a_camera_that_looks_straight_down_may_roll_either_way(roll: float, head
     assert float(found.near) == pytest.approx(0.6, abs=0.02)
 
 
+@pytest.mark.costly
+@pytest.mark.parametrize("heading", [0.0, 10.0, 29.0, 31.0, 45.0, 90.0, 135.0, 151.0, 180.0, 250.0])
+def test_images_that_are_turned_share_the_area_of_their_outlines(heading: float) -> None:
+    """And no lengths along and across a flight, unless they are nearly parallel."""
+    images = straight_down(0.0, 0.0), straight_down(400.0, 0.0, heading)
+    found = overlap(DOWN, *images, GROUND, along="rows", stations=STATIONS)
+    outlines = [footprint(DOWN, image, GROUND, places=4) for image in images]
+    assert float(found.area) == pytest.approx(polygon_overlap(*outlines), abs=2e-3)
+    is_alike = min(heading % 180.0, -heading % 180.0) < 30.0
+    assert int(found.status) == (Status.hit if is_alike else Status.images_turned)
+    lengths = np.array([found.near, found.far, found.least, found.side, found.step], float)
+    assert np.all(np.isfinite(lengths) == is_alike)
+
+
+@pytest.mark.costly
+def test_turned_images_far_apart_share_nothing() -> None:
+    found = overlap(DOWN, straight_down(0.0, 0.0), straight_down(9000.0, 0.0, 70.0), GROUND, along="rows")
+    assert (int(found.status), float(found.area)) == (Status.images_apart, 0.0)
+
+
 @pytest.mark.slow
 def test_the_wrong_axis_is_invalid() -> None:
     images = straight_down(0.0, 0.0), straight_down(600.0, 0.0)
