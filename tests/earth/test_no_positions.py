@@ -68,7 +68,7 @@ TAKERS: dict[str, tuple[str, Callable[[Any], Any]]] = {
 MESSAGES = """
 import json, jaxgeo
 jaxgeo.enable_x64()
-import test_positions as these
+import test_no_positions as these
 print(json.dumps({name: [these.refusal(take, x) for x in ((47.0, 11.0, 100.0), these.HIGH)]
     for name, (_, take) in these.TAKERS.items()}))
 """
