@@ -38,13 +38,13 @@ def identity() -> str | None:
 def _registered() -> str | None:
     try:
         import jaxgeo_native  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        return None
-    try:
+
         if jaxgeo_native.INTERFACE != INTERFACE:
             raise RuntimeError(f"it has interface {jaxgeo_native.INTERFACE}, and this version of jaxgeo {INTERFACE}")
         jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(jaxgeo_native.function()), platform="cpu")
-    except Exception as error:  # of another version of XLA, or another processor
+    except ImportError:
+        return None
+    except Exception as error:  # of another version of XLA, or another processor; or its source alone is found
         warnings.warn(
             f"jaxgeo_native is installed but cannot be used ({error}): searches run without it. Build it again with "
             f"`pip install --force-reinstall ./native`, or set {SWITCH}=0.",
@@ -77,7 +77,8 @@ def native_or_not(native: Callable[..., T], portable: Callable[..., T], like: T,
 
 @_either.def_impl
 def _(*leaves: Any, **params: Any) -> Sequence[jax.Array]:
-    return _compiled(leaves, **params)
+    with jax.disable_jit(False):  # else it would call itself
+        return _compiled(leaves, **params)
 
 
 @functools.partial(jax.jit, static_argnames=("native", "portable", "structure", "results"))

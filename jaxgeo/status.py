@@ -80,8 +80,8 @@ _MESSAGES = {
     Status.weak_intersection: "The rays are too nearly parallel to intersect within their errors.",
     Status.file_not_read: "The file of the exposure could not be read; its row states the reason.",
     Status.below_horizon: "The Earth hides the point from the camera: it is below the horizon, whatever the terrain.",
-    Status.images_turned: "The images are turned against each other by more than 30 deg: they share an area, but no "
-    "lengths along and across a flight.",
+    Status.images_turned: "The images are turned against each other by more than 30 deg, so lengths along and across a "
+    "flight are undefined.",
 }
 
 

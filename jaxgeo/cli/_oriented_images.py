@@ -20,7 +20,6 @@ from jaxgeo.observation import Exposure
 if TYPE_CHECKING:
     from jaxgeo.io import Observations
 
-ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
 NO_IMAGES = ("MISB", "subtitle", "video", "flight log", "SBET", "scene")  # kinds of files that name no images
 
 
@@ -135,9 +134,11 @@ class OrientedImages:
 
 def images_in(folder: pathlib.Path) -> dict[str, list[pathlib.Path]]:
     """The images in a folder, by their names without ending."""
+    from jaxgeo.io.observation_reader import IMAGE_ENDINGS
+
     by_stem: dict[str, list[pathlib.Path]] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in ENDINGS:
+        if path.suffix.lower() in IMAGE_ENDINGS:
             by_stem.setdefault(path.stem, []).append(path)
     return by_stem
 

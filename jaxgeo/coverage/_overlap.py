@@ -67,9 +67,9 @@ class Overlap(Record):
     common share of the first image's extent across the flight (`sideways`: in the same unit, the distances by which
     each image's far end is beyond the other's near end), `area` the common share of its area. `step` is the distance in
     m on the map along the flight between the middles of the two near ends. `status` is that of an edge without ground,
-    with all else NaN; `images_apart` without a common range across the flight: `side` is then negative, `area` zero,
-    and the overlaps along the flight are NaN; `images_turned` if the images share ground but are turned against each
-    other by more than 30 deg: only the `area` is known; or `invalid_input`, with the overlaps along the flight NaN, if
+    with all else NaN; `images_apart` without a range across the flight that all edges have in common: `side` is then
+    negative and the overlaps along the flight are NaN; `images_turned` if the images are turned against each other by
+    more than 30 deg: only the `area` is known; or `invalid_input`, with the overlaps along the flight NaN, if
     one edge is not ahead of the other everywhere: `along` is the wrong axis.
     """
 
@@ -242,8 +242,7 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     is_known = status == Status.hit
     status = status_where(is_known & ~meets, Status.images_apart, status)
     status = status_where(is_known & ~is_ordered & (meets | (own_far <= own_near)), Status.invalid_input, status)
-    turned = jnp.where(area > 0.0, Status.images_turned.code, Status.images_apart.code)
-    status = jnp.where(is_known & is_turned, turned, status)
+    status = status_where(is_known & is_turned, Status.images_turned, status)
     meets &= is_ordered & ~is_turned
     of_meeting = (along[0], along[-1], jnp.min(along), along, across)
     sideways = jnp.stack([own_far - next_near, next_far - own_near]) / own_extent

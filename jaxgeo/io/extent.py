@@ -28,21 +28,28 @@ def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
 def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the camera") -> str | None:
     """Message with the distance of a position outside a DEM and both locations; None if inside or not finite.
 
-    `what` names the position in the message.
+    `what` names the position in the message, which says if the position with exchanged coordinates is inside.
     """
-    west, south, east, north = extent_deg(dem)
-    lon = west + (lon_deg - west) % 360.0
-    is_over = south <= lat_deg <= north and lon <= east
-    if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)) or is_over:
+    west, south, east, north = edges = extent_deg(dem)
+    if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)) or _is_within(edges, lat_deg, lon_deg):
         return None
+    lon = west + (lon_deg - west) % 360.0
+    exchanged = (
+        " (with latitude and longitude exchanged it would be on it)" if _is_within(edges, lon_deg, lat_deg) else ""
+    )
     is_nearer_to_west = lon - east >= west + 360.0 - lon
     nearest = west if is_nearer_to_west else min(lon, east), min(max(lat_deg, south), north)
     _, _, off = pyproj.Geod(ellps="WGS84").inv(lon, lat_deg, *nearest)
     return (
         f"the elevation model reaches from {south:.4f} to {north:.4f} deg north and {west:.4f} to {east:.4f} deg east; "
         f"{what} is at {lat_deg:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
-        f"{_kilometres(off)} km beside it"
+        f"{_kilometres(off)} km beside it{exchanged}"
     )
+
+
+def _is_within(edges: tuple[float, float, float, float], lat_deg: float, lon_deg: float) -> bool:
+    west, south, east, north = edges
+    return south <= lat_deg <= north and (lon_deg - west) % 360.0 <= east - west
 
 
 def _kilometres(metres: float) -> str:

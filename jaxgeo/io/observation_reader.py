@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 import pathlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ from jaxgeo.uncertainty.sources import (
 )
 
 Path = str | os.PathLike[str]
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
 
 
 def read_observations(
@@ -297,11 +298,21 @@ def _chosen(found: AcquisitionSet, names: Sequence[str], places: list[int]) -> l
     known |= {called: one.place for one in found.unread for called in (one.path, one.name) if called not in known}
     chosen = []
     for given in names:
-        name = given if given in known else _record_number(given, found)
+        name = given if given in known else _other_name(given, known) or _record_number(given, found)
         if name not in known:
             raise TableError(f'exposures="{given}": no exposure has this name; known: {some}.')
         chosen.append(known[name])
     return chosen
+
+
+def _other_name(given: str, known: Iterable[str]) -> str | None:
+    """The one name that is the given one but for the suffix of an image, which one of them lacks."""
+
+    def stem(name: str) -> str:
+        return os.path.splitext(name)[0] if name.lower().endswith(IMAGE_ENDINGS) else name
+
+    alike = [one for one in known if stem(one) == given or stem(given) == one]
+    return alike[0] if len(alike) == 1 else None
 
 
 def _record_number(name: str, found: AcquisitionSet) -> str:

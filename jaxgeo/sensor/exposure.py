@@ -129,9 +129,13 @@ def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
 
 @_moment.def_vmap
 def _(size: int, is_batched: Any, scene: Scene, exposure: Exposure) -> tuple[Any, Any]:
-    """Many points of one image: those whose delay is proven to rise or fall steadily need few samples."""
+    """Many points of one image: those whose delay is proven to rise or fall steadily need few samples.
+
+    Nothing is proven of a motion with more knots than are looked at, nor of images in motions of their own.
+    """
     axes = jax.tree.map(lambda own: 0 if own else None, is_batched)
-    if any(jax.tree.leaves((is_batched[0]._replace(p_ecef=False), is_batched[1]))):
+    is_own = any(jax.tree.leaves((is_batched[0]._replace(p_ecef=False), is_batched[1])))
+    if is_own or 2 * scene.legs.times.shape[-1] > MOST:
         one = lambda scene, exposure: _sampled_moment(scene, Search.of(scene, exposure))  # noqa: E731
         return jax.vmap(one, in_axes=axes)(scene, exposure), (True, True)
     search, there = Search.of(scene, exposure), scene._replace(p_ecef=None)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._accelerator import by_device
 from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor.delay import Scene, delay_at, image_at
@@ -19,7 +20,7 @@ STRETCHES = 8  # of the times at which a point may be exposed
 SAFETY = 1.5  # factor on the bound of the motion's unevenness, as the delay's gradient varies along a stretch
 EXACT = 1e-12  # of the square of a stretch: product of the last two secant steps; the error is smaller
 MOST = 8  # secant steps
-BLOCK = 256  # points at a time that are searched by all samples
+BLOCK, BLOCK_ACCELERATOR = 256, 2**16  # points at a time that are searched by all samples
 
 Times = Float[Array, " times"]
 
@@ -101,8 +102,8 @@ def _root(scene: Scene, times: Times, delays: Times, k: Array, is_there: Flag) -
         is_exact = (count > 0) & (jnp.abs(change * following) <= EXACT * step * step)
         return moment + following, value, following, is_exact, count + 1
 
-    no = jnp.zeros_like(step)
-    state = (times[first] + step * share, no, no, ~is_there, jnp.zeros_like(k))
+    no = jnp.where(jnp.isfinite(a), 0.0 * a, 0.0)  # of the points' own kind, also where each device has some
+    state = (times[first] + step * share, no, no, ~is_there, k - k)
     moment, _, _, is_exact, _ = jax.lax.while_loop(unfinished, secant, state)
     return moment, is_exact
 
@@ -112,7 +113,9 @@ def search_missed(
 ) -> tuple[Array, Array]:
     """What is `found` for places (leading axis), and the result of `search` for those that are missed."""
     count, size = jnp.sum(missed), places.shape[0]
-    block = min(BLOCK, size)
+    if not size:
+        return found
+    block = min(by_device(BLOCK, BLOCK_ACCELERATOR), size)
     order = jnp.pad(jnp.argsort(~missed, stable=True), (0, -size % block), mode="edge")
 
     def searched(state: tuple[Array, Any]) -> tuple[Array, Any]:

@@ -115,7 +115,7 @@ def search_of_lines(search: AbstractSearch, inputs: ModelInputs, nominal: Nomina
     """
     if not isinstance(search, FirstHit) or not isinstance(inputs.terrain, Dem) or inputs.air is not None:
         return search
-    return FirstHit(_beam(inputs, nominal.distance, trial))
+    return FirstHit(_beam(inputs, nominal.distance, trial), search.native)
 
 
 @quick_filter_jit

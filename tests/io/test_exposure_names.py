@@ -12,6 +12,7 @@ from support.klv_packets import local_set, usual
 from test_sbet import flight
 
 from jaxgeo.io import TableError, read_acquisitions, read_observations
+from jaxgeo.io.observation_reader import _other_name
 
 DJI = {
     "drone-dji:GpsLatitude": "+47.1",
@@ -90,6 +91,27 @@ def test_a_name_among_several_files_serves_for_its_file_alone(files) -> None:
     for name in ("b.ts/2", "a.ts/7", "a.ts/"):
         with pytest.raises(TableError, match=f'exposures="{name}": no exposure has this name; known: 0, 1, 2'):
             rows_of([files["video"]], name)
+
+
+@pytest.mark.parametrize(
+    "given, known, found",
+    [
+        ("a", ["a.jpg", "b.jpg"], "a.jpg"),
+        ("a.tif", ["a", "b"], "a"),
+        ("a.tif", ["a.jpg"], None),
+        ("a", ["a.jpg", "a.tif"], None),
+        ("1.5", ["1", "2"], None),
+        ("2", ["2.5"], None),
+    ],
+)
+def test_an_image_may_be_named_without_its_suffix_or_with_one(given: str, known: list[str], found: str | None) -> None:
+    """If that is no other one; numbers of records have none."""
+    assert _other_name(given, known) == found
+
+
+def test_the_suffix_of_an_image_may_be_left_out(files) -> None:
+    (row,) = rows_of([files["image"], files["video"]], "c")
+    assert row["name"] == "c.jpg"
 
 
 def test_positions_of_a_file_are_those_of_its_own_rows(files) -> None:

@@ -131,3 +131,38 @@ def test_pixels_of_a_batch_are_those_of_single_points() -> None:
     slope = jax.jacfwd(lambda place: project(place).uv)
     many, few = jit(jax.vmap(slope))(ground), jit(slope)(jax.tree.map(lambda x: x[0], ground))
     np.testing.assert_allclose(np.asarray(many.height)[0], few.height, rtol=1e-6)
+
+
+def test_of_no_points_there_are_no_pixels() -> None:
+    nothing = jnp.zeros((0,)), jnp.zeros((0,), jnp.int8)
+    assert (
+        search_missed(lambda place: (place[0], jnp.int8(0)), jnp.zeros((0, 3)), jnp.zeros(0, bool), nothing) is nothing
+    )
+
+
+@pytest.mark.costly
+def test_points_may_be_divided_among_devices() -> None:
+    sensor = jaxgeo.Sensor(CAMERAS["rolling shutter"], jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+    motion, ground = flight(1e-3), jax.vmap(jaxgeo.WGS84.to_geodetic)(points(8))
+    project = jax.vmap(lambda place: jaxgeo.project(sensor, motion, place, time=0.0))
+    mesh = jax.make_mesh((1,), ("points",), (jax.sharding.AxisType.Auto,), devices=jax.devices()[:1])
+    divided = jax.shard_map(project, mesh=mesh, in_specs=jax.P("points"), out_specs=jax.P("points"))
+    options = jaxgeo.compiler_options("short")
+    found, expected = (jax.jit(one, compiler_options=options)(ground) for one in (divided, project))
+    np.testing.assert_array_equal(found.status, expected.status)
+    np.testing.assert_allclose(found.uv, expected.uv, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.costly
+def test_nothing_is_proven_of_more_knots_than_are_looked_at() -> None:
+    """A pitch that swings once between two samples is not seen by them, so all points are searched alike."""
+    times = np.linspace(-1.0, 9.0, 400)
+    position = jaxgeo.Geodetic.from_degrees(
+        lat=47.0 + times * 60.0 / 111e3, lon=np.full(400, 11.0), height=np.full(400, 2000.0)
+    )
+    still, swing = np.zeros(400), 1e-3 * np.cos(2.0 * np.pi * times / 0.0375)
+    motion = jaxgeo.Trajectory.from_knots(times, jaxgeo.Pose(position, still, swing, still), np.zeros((400, 0)))
+    of_batch, sampled, _ = programs("pushbroom", False)
+    places = points(40)
+    for found, expected in zip(of_batch(motion, places), sampled(motion, places), strict=True):
+        np.testing.assert_allclose(np.nan_to_num(found), np.nan_to_num(expected), rtol=0.0, atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import pathlib
 import subprocess
@@ -336,3 +337,27 @@ def test_importing_jaxgeo_does_not_load_it() -> None:
 def test_a_million_rays(name: str) -> None:
     dem = TERRAINS[name]()
     assert_same(all_rays(dem, 1_000_000, seed=10), dem)
+
+
+def few_rays(count: int = 4) -> tuple[Ray, Dem]:
+    dem = TERRAINS["float64, tangent"]()
+    return jax.tree.map(lambda x: x[:count], all_rays(dem, 400, seed=5)), dem
+
+
+@needs_native
+def test_numbers_of_another_kind_are_read_as_what_they_say() -> None:
+    """A terrain made by hand may hold its sizes as integers of 64 bits."""
+    rays, dem = few_rays()
+    by_hand = dataclasses.replace(dem, extent=np.array(POSTS.shape))
+    assert_same(rays, by_hand)
+
+
+@needs_native
+def test_it_answers_where_nothing_is_jitted() -> None:
+    rays, dem = few_rays(1)
+    ray = jax.tree.map(lambda x: x[0], rays)
+    with jax.disable_jit():
+        found = FirstHit().bracket(ray, dem)
+    expected = FirstHit(native=False).bracket(ray, dem)
+    assert int(found.status) == int(expected.status)
+    np.testing.assert_allclose(found.near, expected.near, atol=1e-6)

@@ -112,9 +112,13 @@ def _first_events(
     """News, tau of begin, root and a later place below the surface, row and column of each ray's cell."""
     constants, lines = field
     coefficients = jax.tree.leaves((track.row, track.col, track.height))
-    terrain = (dem.posts, dem.void, dem.has_void, dem.extent, dem.pyramid.bounds, dem.pyramid.base, dem.pyramid.step)
-    args = [*coefficients, jnp.where(walks, walker.here, -1), walker.news, *terrain, *heights, *constants]
-    args += [part for line in lines for part in (line.values, line.first, line.step)]
+    flags = jnp.broadcast_to(jnp.asarray(dem.void, bool), dem.posts.shape), jnp.asarray(dem.has_void, bool)
+    pyramid = jnp.asarray(dem.pyramid.bounds, jnp.uint16), dem.pyramid.base, dem.pyramid.step
+    numbers = [*pyramid[1:], *heights, *constants]
+    numbers += [part for line in lines for part in (line.values, line.first, line.step)]
+    places = [jnp.asarray(x, jnp.int32) for x in (jnp.where(walks, walker.here, -1), walker.news)]
+    args = [*coefficients, *places, dem.posts, *flags, jnp.asarray(dem.extent, jnp.int32), pyramid[0]]
+    args += [jnp.asarray(x, jnp.float64) for x in numbers]  # the search takes the bytes of each array as of its kind
     count = walker.here.shape
     number, integer = jax.ShapeDtypeStruct(count, np.float64), jax.ShapeDtypeStruct(count, np.int32)
     call = jax.ffi.ffi_call(TARGET, [integer, number, number, number, integer, integer])
