@@ -22,7 +22,7 @@ from jaxgeo._accelerator import by_device
 from jaxgeo._compile import batch_filter_jit, long_run_filter_jit, quick_filter_jit
 from jaxgeo._typing import Flags, Index, Vector3
 from jaxgeo.status import counts_as_fix
-from jaxgeo.terrain import AbstractSearch
+from jaxgeo.terrain import AbstractSearch, FirstHit
 from jaxgeo.uncertainty.batched_rays import (
     BLOCK,
     STAGE,
@@ -183,6 +183,10 @@ def make_plan(
     if by_device(True, len(size.devices) > 1 or isinstance(draws, Sobol), size.devices):  # else it stays there
         trial = jax.tree.map(lambda x: np.asarray(_first_of(x, TRIALS, size)), trial)
     found = search_of_lines(search, inputs, nominal, trial)
+    if size.is_long_run and isinstance(found, FirstHit) and found.beam is not None:
+        found = FirstHit(
+            found.beam, native=False
+        )  # compiled for speed, JAX is quicker where rays share most of the way
     if isinstance(draws, Sobol):
         rotation = rotation_of(Trial.of(draws, model.size, leading_of(model)), trial, inputs, nominal, places, np)
     lines, fixes = lines._replace(rotation=rotation), fixes._replace(search=found)
