@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -110,4 +111,5 @@ def test_a_position_is_taken(name: str) -> None:
     """As the others are refused for what they are only."""
     _, take = TAKERS[name]
     several = jnp.ones(1) if name == "GroundPoints" else jnp.ones(())
-    take(jaxgeo.Geodetic(lat=0.82 * several, lon=0.19 * several, height=900.0 * several))
+    found = take(jaxgeo.Geodetic(lat=0.82 * several, lon=0.19 * several, height=900.0 * several))
+    assert jax.tree.leaves(found)
