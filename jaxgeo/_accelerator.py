@@ -6,12 +6,18 @@ items of a batch at once, where a CPU is faster with a few thousand of them, who
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import jax
 
 T = TypeVar("T")
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def platform_of(devices: Sequence[Any] = ()) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from jax._src.core import trace_state_clean
 from jax.core import Tracer
 
-from jaxgeo._accelerator import platform_of
+from jaxgeo._accelerator import core_count, platform_of
 from jaxgeo._checks import is_known
 from jaxgeo._program_cache import folder_in_use
 from jaxgeo._program_store import Programs, is_debugging
@@ -106,7 +106,12 @@ def _graphs(platform: str) -> dict[str, Any]:
 
 
 def _supported(options: dict[str, Any], platform: str) -> dict[str, Any]:
-    return _accepted(options) if platform == "cpu" else {}
+    if platform != "cpu":
+        return {}
+    split = "xla_cpu_parallel_codegen_split_count"  # parts for threads; one compiles with a tenth less work
+    if split not in os.environ.get("XLA_FLAGS", "") and (core_count() == 1 or os.environ.get("NPROC") == "1"):
+        options = {**options, split: 1}
+    return _accepted(options)
 
 
 def _accepted(options: dict[str, Any]) -> dict[str, Any]:

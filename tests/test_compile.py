@@ -17,6 +17,7 @@ from jax.core import Tracer
 from support.scenes import local_ray, small_dem
 
 import jaxgeo
+from jaxgeo import _compile
 from jaxgeo import uncertainty as un
 from jaxgeo._compile import batch_options, long_run_options, one_program, quick_filter_jit, quick_jit, quick_options
 from jaxgeo._program_cache import forget_oldest
@@ -301,6 +302,30 @@ def test_options_are_those_of_the_device_that_programs_run_on(monkeypatch: pytes
     assert [options() for options in (quick_options, batch_options, long_run_options)] == [{}, {}, {}]
     with jax.default_device(jax.devices("cpu")[0]):
         assert [options() for options in (quick_options, batch_options, long_run_options)] == on_cpu
+
+
+@pytest.mark.parametrize(
+    "cores, threads, flags, parts",
+    [
+        (1, None, "", 1),
+        (2, None, "", None),
+        (8, "1", "", 1),
+        (1, None, "--xla_cpu_parallel_codegen_split_count=4", None),
+    ],
+)
+def test_where_one_thread_compiles_programs_are_not_split(
+    monkeypatch: pytest.MonkeyPatch, cores: int, threads: str | None, flags: str, parts: int | None
+) -> None:
+    monkeypatch.setattr(_compile, "core_count", lambda: cores)
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    monkeypatch.delenv("NPROC", raising=False)
+    if threads is not None:
+        monkeypatch.setenv("NPROC", threads)
+    for options in (_compile._quick_options, _compile._batch_options, _compile._long_run_options):
+        found = options.__wrapped__("cpu")
+        assert found.get("xla_cpu_parallel_codegen_split_count") == parts
+        assert "xla_disable_hlo_passes" in found
+        assert options.__wrapped__("tpu") == {}
 
 
 @pytest.mark.parametrize("runs", ["short", "long"])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 
+from jaxgeo._accelerator import core_count
 from jaxgeo._parallel import version
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def connect(cluster: str | os.PathLike[str] = "local", *, timeout: float = TIMEO
             environment = {"distributed.nanny.pre-spawn-environ": ONE_THREAD}
             with dask.config.set(environment):
                 workers = distributed.LocalCluster(
-                    n_workers=int(found[1]) if found[1] else _cores(),
+                    n_workers=int(found[1]) if found[1] else core_count(),
                     threads_per_worker=1,
                     dashboard_address=":0",
                 )
@@ -112,11 +113,6 @@ def _version_there() -> str:
         return importlib.metadata.version("jaxgeo")
     except importlib.metadata.PackageNotFoundError:
         return ""
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _distributed() -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int8
 
-from jaxgeo._accelerator import by_device
+from jaxgeo._accelerator import by_device, core_count
 from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._record import Record, packed, unpacked
@@ -257,7 +256,7 @@ def tiles_of(
     tile = by_device(TILE, TILE_ACCELERATOR) if tile is None else tile
     side = _side(rows, tile), _side(cols, tile)
     corners = [(row, col) for row in range(0, rows, side[0]) for col in range(0, cols, side[1])]
-    workers = _processors()
+    workers = core_count()
     with ThreadPoolExecutor(workers) as pool:
         waiting: deque[tuple[tuple[int, int], Future[Tile]]] = deque()
         for corner in corners:
@@ -384,7 +383,3 @@ def _side(count: int, most: int) -> int:
     tiles = -(-count // most)
     share = -(-count // tiles)
     return -(-share // STRIP) * STRIP
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
