@@ -24,6 +24,7 @@ _SHIFT = 52 - DIGITS  # digits of a float64 that are dropped
 _BELOW = (LOWEST + 1023) << DIGITS  # bits of the lowest bound
 _INFINITE = 2047 << DIGITS  # bits of infinity
 BINS = ((HIGHEST - LOWEST) << DIGITS) + 2  # the last one holds the infinite radii of samples without a fix
+FEW = 2**16  # radii that wait before they are counted
 
 
 class RadiusHistogram(Record):
@@ -103,22 +104,35 @@ class RadiusHistogram(Record):
 
 
 class Counter:
-    """Accumulates radii to a histogram, in constant memory: 5 MB per group."""
+    """Accumulates radii to a histogram, in bounded memory: from `FEW` radii on 5 MB per group."""
 
     def __init__(self, groups: int = 1) -> None:
-        self._groups, self._counts = groups, np.zeros(groups * BINS, np.int64)
+        self._groups = groups
+        self._waiting: list[np.ndarray] = []
+        self._counts: np.ndarray | None = None  # of every bin, which takes longer to look through than a few to sort
 
     def add(self, radii: np.ndarray, first: int, group_of: np.ndarray | None = None) -> None:
         """Count the radii of samples from number `first` on, or of given groups; NaN is not allowed."""
         bins = bins_of(radii)
         if self._groups > 1:
             bins += ((first + np.arange(radii.size)) % self._groups if group_of is None else group_of) * BINS
-        np.add.at(self._counts, bins, 1)
+        self._waiting.append(bins)
+        if sum(each.size for each in self._waiting) > FEW:
+            if self._counts is None:
+                self._counts = np.zeros(self._groups * BINS, np.int64)
+            for each in self._waiting:
+                np.add.at(self._counts, each, 1)
+            self._waiting = []
 
     def histogram(self) -> RadiusHistogram:
         """The histogram so far."""
+        bins, counts = np.unique(np.concatenate([*self._waiting, np.empty(0, np.int64)]), return_counts=True)
+        waiting = RadiusHistogram(self._groups, bins, counts)
+        if self._counts is None:
+            return waiting
         bins = np.flatnonzero(self._counts)
-        return RadiusHistogram(self._groups, bins, self._counts[bins])
+        counted = RadiusHistogram(self._groups, bins, self._counts[bins])
+        return counted.merge((waiting,)) if self._waiting else counted
 
 
 def bins_of(radii: np.ndarray) -> np.ndarray:

@@ -16,7 +16,17 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, Status, _accelerator
-from jaxgeo.uncertainty import ErrorModel, Random, Sampled, Sampling, Sobol, batched_rays, sample, sources
+from jaxgeo.uncertainty import (
+    ErrorModel,
+    Random,
+    Sampled,
+    Sampling,
+    Sobol,
+    batched_rays,
+    histogram,
+    sample,
+    sources,
+)
 from jaxgeo.uncertainty.chunks import BLOCK
 from jaxgeo.uncertainty.histogram import BINS, Counter, RadiusHistogram, bins_of, lower_bound
 from jaxgeo.uncertainty.intervals import interval_of_scrambles, quantile_interval
@@ -290,6 +300,21 @@ def test_a_summary_stops_when_it_is_sure_enough() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("groups", [1, 16])
+def test_radii_are_counted_alike_whether_they_wait_or_not(monkeypatch: pytest.MonkeyPatch, groups: int) -> None:
+    radii = np.random.default_rng(groups).rayleigh(10.0, 1000)
+    expected = np.bincount(bins_of(radii) + np.arange(1000) % groups * BINS, minlength=groups * BINS)
+    for few in (0, 300, 10_000):  # each part is counted at once, after some, at the end
+        monkeypatch.setattr(histogram, "FEW", few)
+        counter = Counter(groups)
+        for first in range(0, 1000, 125):
+            counter.add(radii[first : first + 125], first)
+            found = counter.histogram()
+            assert found.counts.sum() == first + 125
+        np.testing.assert_array_equal(found.bins, np.flatnonzero(expected))
+        np.testing.assert_array_equal(found.counts, expected[found.bins])
+
+
 def test_a_summary_of_sobol_points() -> None:
     exact, summary = (part(0, 16 * 256, draws=Sobol(), keep=False, summary=summary) for summary in (False, True))
     for probability in (0.5, 0.9):
