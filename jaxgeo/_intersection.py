@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -51,13 +51,10 @@ def met_by(
     bracket = tree_where(found, searched, jax.tree.map(jnp.zeros_like, searched))
     ray = tree_where(found, ray, stand_in.through(air))
     distance = polish(ray, terrain, bracket)
-    p_ecef = ray.at(distance)
-    position, incidence = seen_from_ray(ray, distance)
-    slope, incidence_surface = _surface_angles(ray, terrain, distance, bracket)
-    grazing = found & (jnp.abs(jnp.cos(incidence_surface)) < NEAR_TANGENT)
-    status = status_where(grazing & (status == Status.hit), Status.near_tangent, status)
+    position, incidence, incidence_surface, slope, grazes = _seen_on_surface(ray, terrain, distance, bracket)
+    status = status_where(found & grazes & (status == Status.hit), Status.near_tangent, status)
     slant_range = straight_distance(ray, distance)
-    fix = Fix(position, p_ecef, slant_range, incidence, incidence_surface, slope, status)
+    fix = Fix(position, ray.at(distance), slant_range, incidence, incidence_surface, slope, status)
     return masked(fix, found), searched
 
 
@@ -95,7 +92,8 @@ def _checked_ray(ray: Ray, status: StatusCode, terrain: AbstractTerrain) -> tupl
 def _touched(ray: Ray, status: StatusCode, bracket: Bracket, terrain: AbstractTerrain) -> tuple[Vector3, StatusCode]:
     """(point, status) of a ray after its search, by one Newton step."""
     status = first_failure(status, bracket.status)
-    value, gradient = jax.value_and_grad(terrain.clearance)(ray.at(bracket.near), bracket.cell)
+    clearance = jax.value_and_grad(_clearance_of(terrain, bracket), (0, 1, 2))
+    value, gradient = clearance(*ray.components_at(bracket.near))
     slope = dot(gradient, ray.direction)
     step = jnp.where(slope < 0.0, value / jnp.where(slope < 0.0, slope, -1.0), 0.0)
     grazes = slope * slope < NEAR_TANGENT**2 * dot(gradient, gradient)
@@ -114,17 +112,37 @@ def straight_distance(ray: Ray, distance: Scalar) -> Scalar:
 
 
 def seen_from_ray(ray: Ray, distance: Scalar) -> tuple[Geodetic, Scalar]:
-    p_ecef = ray.at(distance)
-    normal, _ = WGS84.normal_and_height(p_ecef)
-    return WGS84.to_geodetic(p_ecef), safe_angle(-ray.heading_at(distance), normal)
+    """Position at a range along a ray, and the angle there between the line back and the ellipsoid's normal."""
+    *normal, height = WGS84.normal_and_height_of(*ray.components_at(distance))
+    return WGS84.with_normal(normal, height), safe_angle(_line_back(ray, distance), normal)
 
 
-def _surface_angles(ray: Ray, terrain: AbstractTerrain, distance: Scalar, bracket: Any) -> tuple[Scalar, Scalar]:
-    """Slope of the surface and incidence angle; the surface normal is the gradient of the clearance."""
-    p_ecef = ray.at(distance)
-    gradient = jax.grad(terrain.clearance)(p_ecef, bracket.cell)
-    up, _ = WGS84.normal_and_height(p_ecef)
-    return safe_angle(gradient, up), safe_angle(-ray.heading_at(distance), gradient)
+def _seen_on_surface(
+    ray: Ray, terrain: AbstractTerrain, distance: Scalar, bracket: Bracket
+) -> tuple[Geodetic, Scalar, Scalar, Scalar, Flag]:
+    """`seen_from_ray`, incidence angle and slope of the surface, and whether the ray is `near_tangent` to it.
+
+    By components, see `Ray.components_at`. The surface normal is the gradient of the clearance.
+    """
+    p_ecef = ray.components_at(distance)
+    *normal, height = WGS84.normal_and_height_of(*p_ecef)
+    back = _line_back(ray, distance)
+
+    gradient = jax.grad(_clearance_of(terrain, bracket), (0, 1, 2))(*p_ecef)
+    across = dot(gradient, back)
+    grazes = across * across < NEAR_TANGENT**2 * (dot(gradient, gradient) * dot(back, back))
+    position, incidence = WGS84.with_normal(normal, height), safe_angle(back, normal)
+    return position, incidence, safe_angle(back, gradient), safe_angle(gradient, normal), grazes
+
+
+def _clearance_of(terrain: AbstractTerrain, bracket: Bracket) -> Callable[[Scalar, Scalar, Scalar], Scalar]:
+    """The clearance above the cell of a bracket, by components."""
+    return lambda x, y, z: terrain.clearance(jnp.stack([x, y, z]), bracket.cell)
+
+
+def _line_back(ray: Ray, distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    x, y, z = ray.heading_at(distance)
+    return -x, -y, -z
 
 
 def has_point(status: StatusCode) -> Flag:

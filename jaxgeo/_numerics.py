@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._elementary import arctangent
 from jaxgeo._typing import Flag, Numbers, Scalar, ScalarField
 
 T = TypeVar("T")
@@ -58,14 +59,14 @@ def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
-def safe_norm(v: Float[Array, " n"]) -> Scalar:
-    """Euclidean norm of `v`; its gradient at zero is zero, not NaN."""
+def safe_norm(v: Any) -> Scalar:
+    """Euclidean norm of a short vector `v`; its gradient at zero is zero, not NaN."""
     return safe_sqrt(dot(v, v))
 
 
-def safe_angle(a: Float[Array, "3"], b: Float[Array, "3"]) -> Scalar:
-    """Angle between two vectors in [0, pi] rad, accurate for small angles; its gradient at zero is zero."""
-    return jnp.arctan2(safe_norm(jnp.stack(cross(a, b))), dot(a, b))
+def safe_angle(a: Any, b: Any) -> Scalar:
+    """Angle between two vectors of three in [0, pi] rad, accurate for small angles; its gradient at zero is zero."""
+    return arctangent(safe_norm(cross(a, b)), dot(a, b))
 
 
 def cross(a: Any, b: Any) -> tuple[Scalar, Scalar, Scalar]:

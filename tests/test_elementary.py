@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo._elementary import arctangent, logarithm, sine_and_cosine
+from jaxgeo._elementary import arctangent, arctangent_of_neighbours, logarithm, sine_and_cosine
 
 
 def test_sine_and_cosine_to_the_last_digit_with_derivatives():
@@ -80,24 +80,41 @@ def test_logarithm_to_the_last_digit():
     assert logarithm(jnp.asarray(1.0)) == 0.0
 
 
+@pytest.mark.parametrize("function", [arctangent, arctangent_of_neighbours])
 @pytest.mark.parametrize("middle", [0.0, 1.2, 3.14, -3.1, -1.6])
 @pytest.mark.parametrize("width", [1e-3, 0.0624, 0.07, 4.0])
-def test_arctangent_of_directions_near_each_other_and_apart(middle, width):
+def test_arctangent_of_directions_near_each_other_and_apart(function, middle, width):
     """Across the jump at half a turn too."""
     random = np.random.default_rng(2)
     angle = middle + random.uniform(0.0, width, 1024)
     angle[0], angle[-1] = middle, middle + width
     length = 10.0 ** random.uniform(-3.0, 7.0, 1024)
     y, x = length * np.sin(angle), length * np.cos(angle)
-    value, slopes = jax.jit(jax.vmap(jax.value_and_grad(arctangent, (0, 1))))(y, x)
-    np.testing.assert_allclose(value, np.arctan2(y, x), rtol=0.0, atol=5e-16)
+    value, slopes = jax.jit(jax.vmap(jax.value_and_grad(function, (0, 1))))(y, x)
+    absolute = 0.0 if function is arctangent else 5e-16  # of the first angle, from which the others are
+    np.testing.assert_allclose(value, np.arctan2(y, x), rtol=4e-16, atol=absolute)
     np.testing.assert_allclose(slopes, (x / length**2, -y / length**2), rtol=1e-15, atol=1e-300)
 
 
-@pytest.mark.parametrize("strange", [(0.0, 0.0), (-0.0, -1.0), (np.nan, 1.0), (np.inf, 1.0)])
-def test_arctangent_of_a_batch_with_one_odd_argument(strange):
+@pytest.mark.parametrize("function", [arctangent, arctangent_of_neighbours])
+@pytest.mark.parametrize(
+    "strange", [(0.0, 0.0), (0.0, -0.0), (-0.0, -1.0), (-0.0, 1.0), (np.nan, 1.0), (np.inf, 1.0), (1.0, -np.inf)]
+)
+def test_arctangent_of_a_batch_with_one_odd_argument(function, strange):
     y, x = jnp.asarray(np.append(np.ones((1023, 2)), [strange], axis=0)).T
-    np.testing.assert_array_equal(jax.jit(jax.vmap(arctangent))(y, x), np.arctan2(y, x))
-    np.testing.assert_array_equal(jax.vmap(arctangent, (0, None))(y, jnp.asarray(2.0)), np.arctan2(y, 2.0))
-    rows = jax.vmap(jax.vmap(arctangent))(y.reshape(2, 512), x.reshape(2, 512))
-    np.testing.assert_array_equal(np.ravel(rows), np.arctan2(y, x))
+    found, expected = jax.jit(jax.vmap(function))(y, x), np.arctan2(y, x)
+    np.testing.assert_allclose(found, expected, rtol=4e-16, atol=0.0)
+    np.testing.assert_array_equal(np.signbit(found), np.signbit(expected))
+    np.testing.assert_allclose(jax.vmap(function, (0, None))(y, jnp.asarray(2.0)), np.arctan2(y, 2.0), rtol=4e-16)
+    rows = jax.vmap(jax.vmap(function))(y.reshape(2, 512), x.reshape(2, 512))
+    np.testing.assert_allclose(np.ravel(rows), expected, rtol=4e-16, atol=0.0)
+
+
+@pytest.mark.parametrize("function", [arctangent, arctangent_of_neighbours])
+def test_arctangent_at_the_ends_of_its_series(function):
+    """Near 0, a quarter and half a turn, and where the series changes."""
+    tangent = np.concatenate([0.66 + np.arange(-300, 300) * 2.0**-50, 10.0 ** -np.arange(0.0, 300.0)])
+    y, x = np.concatenate([tangent, np.ones(900)]), np.concatenate([np.ones(900), tangent])
+    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        found = jax.vmap(function)(*(jnp.asarray(sign * part) for sign, part in zip(signs, (y, x), strict=True)))
+        np.testing.assert_allclose(found, np.arctan2(signs[0] * y, signs[1] * x), rtol=4e-16, atol=0.0)

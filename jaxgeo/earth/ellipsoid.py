@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import as_float64
 from jaxgeo._compile import one_program
+from jaxgeo._elementary import arctangent
 from jaxgeo._numerics import dot, implicit_root, larger, safe_norm, safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
@@ -72,6 +74,13 @@ class Ellipsoid(Record):
     def normal_and_height_of(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """`normal_and_height` by components; for batches, building and unpacking vectors of three is slow."""
         return _normal_and_height(self, x, y, z)
+
+    def with_normal(self, normal: Sequence[Scalar], height: Scalar) -> Geodetic:
+        """Geodetic position by its unit normal (ECEF axes, by components), of length 1, and height in m."""
+        x, y, z = normal
+        at_pole = (x == 0.0) & (y == 0.0)
+        lon = arctangent(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
+        return Geodetic(lat=arctangent(z, safe_norm((x, y))), lon=lon, height=height)
 
     def prime_vertical_radius(self, lat: Scalar) -> Scalar:
         """Radius of curvature N in the prime vertical, m."""
@@ -139,11 +148,8 @@ def _ecef(ellipsoid: Ellipsoid, position: Geodetic) -> Vector3:
 
 @one_program
 def _geodetic(ellipsoid: Ellipsoid, p_ecef: Vector3) -> Geodetic:
-    normal, height = ellipsoid.normal_and_height(p_ecef)
-    x, y, z = normal
-    at_pole = (x == 0.0) & (y == 0.0)
-    lon = jnp.arctan2(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
-    return Geodetic(lat=jnp.arctan2(z, safe_norm(normal[:2])), lon=lon, height=height)
+    *normal, height = ellipsoid.normal_and_height_of(*p_ecef)
+    return ellipsoid.with_normal(normal, height)
 
 
 @one_program

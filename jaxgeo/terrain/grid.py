@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
 from jaxgeo._compile import one_program, quick_filter_jit
-from jaxgeo._elementary import arctangent
+from jaxgeo._elementary import arctangent_of_neighbours
 from jaxgeo._numerics import larger, safe_sqrt, times, within
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
@@ -111,8 +111,8 @@ class GeographicGrid(AbstractGrid):
         c, s = jnp.cos(lon0), jnp.sin(lon0)
         x, y = c * x + s * y, c * y - s * x
         at_pole = (x == 0.0) & (y == 0.0)
-        lon = arctangent(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
-        lat = arctangent(z, safe_sqrt(x * x + y * y))
+        lon = arctangent_of_neighbours(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
+        lat = arctangent_of_neighbours(z, safe_sqrt(x * x + y * y))
         return self._from_reference(lon, lat - lat0)
 
     def normal(self, rowcol: RowCol) -> Vector3:

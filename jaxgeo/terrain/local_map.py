@@ -67,7 +67,7 @@ class LocalMap(Record):
             rowcol, height = dem.over(middle + (place * half) @ axes)
             return jnp.stack([*rowcol, height])
 
-        values = jax.lax.map(exact, jnp.asarray(_PLACES))
+        values = jax.vmap(exact)(jnp.asarray(_PLACES))
         centre = values.mean(axis=0)
         coefficients = jnp.asarray(_FIT) @ (values - centre[None, :])
         missed = jnp.max(jnp.abs(jnp.asarray(_MONOMIALS) @ coefficients + centre[None, :] - values), axis=0)

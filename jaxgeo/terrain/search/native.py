@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 BLOCK = 16_384  # rays at a time: enough to share among cores, few enough for their caches
-FEW = 1024  # of those that are left of a block, at a time
+FEW = 1024  # rays that are walked to their ends at once
+LEFT = 256  # of those that are left of a block, at a time
 POSTS = "float64 float32 int8 uint8 int16 uint16 int32 uint32".split()
 
 
@@ -45,7 +46,7 @@ def serves(ground: Ground) -> bool:
 def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> Found:
     """Walk a block of rays (leading axis) to their first events or ends.
 
-    Few rays need more than one track: they are walked apart, `FEW` at a time.
+    Few rays need more than one track, or are not in the beam: they are walked apart, `LEFT` at a time.
     """
     count = way.start.shape[0]
     walker, track = at_start(ray, way, ground, beam)
@@ -55,18 +56,18 @@ def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> Found:
         walker, track = _with_new_tracks(walker, track, ray, ground, way)
     walker, found = _one_round(walker, track, way, ground)
     waiting, left = listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
-    waiting = jnp.pad(waiting, (0, FEW))
+    waiting = jnp.pad(waiting, (0, LEFT))
 
     def some(number: Index, found: Found) -> Found:
-        index = jax.lax.dynamic_slice_in_dim(waiting, number * FEW, FEW)
-        index = jnp.where(number * FEW + jnp.arange(FEW) < left, index, count)
+        index = jax.lax.dynamic_slice_in_dim(waiting, number * LEFT, LEFT)
+        index = jnp.where(number * LEFT + jnp.arange(LEFT) < left, index, count)
         pick = lambda x: x.at[index].get(mode="clip")  # noqa: E731
         here_walker, here_ray, here_way = jax.tree.map(pick, (walker, ray, way))
         here_walker = eqx.tree_at(lambda w: w.is_over, here_walker, here_walker.is_over | (index == count))
         new = _to_the_end(here_walker, no_tracks(here_way.start), here_ray, here_way, ground.of_rays(pick))
         return jax.tree.map(lambda x, new: x.at[index].set(new, mode="drop", unique_indices=True), found, new)
 
-    return jax.lax.fori_loop(0, (left + FEW - 1) // FEW, some, found)
+    return jax.lax.fori_loop(0, (left + LEFT - 1) // LEFT, some, found)
 
 
 def _to_the_end(walker: Walker, track: Track, ray: Ray, way: Way, ground: Ground) -> Found:
