@@ -37,6 +37,7 @@ LAYER = {package: number for number, packages in enumerate(LAYERS) for package i
 # Imports allowed within a layer.
 WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in LAYERS[0]]} | {
     frozenset({"_checks", "_numerics"}),
+    frozenset({"_elementary", "_numerics"}),
     frozenset({"status", "_checks"}),
     frozenset({"_compile", "_accelerator"}),
     frozenset({"_compile", "_checks"}),
