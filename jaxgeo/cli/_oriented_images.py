@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import jaxgeo
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._option_names import as_typed, typed
 from jaxgeo.cli._options import DemOptions
-from jaxgeo.cli._screen import print_note
 from jaxgeo.observation import Exposure
 
 if TYPE_CHECKING:
@@ -107,9 +107,8 @@ class OrientedImages:
                 observed = read_observations(self.files, progress=progress, **self.reading.known_arguments)
         except UserError as error:  # here a scene is not for a file without a camera
             raise UserError(re.sub(r"--scene SCENE\.toml(, or )?", "", f"{error}")) from error
-        for one in map(as_typed, observed.assumed):
-            if "error" not in one and "sigma" not in one:  # which orthoimages do not have
-                print_note(f"assumed: {one}")
+        assumed = map(as_typed, observed.assumed)
+        print_assumed([one for one in assumed if "error" not in one and "sigma" not in one])  # orthoimages have none
         print_unread(observed.unread.values())
         return observed, self._files_of(observed)
 

@@ -26,6 +26,7 @@ from jaxgeo.cli._adjust_outputs import (
     write_files,
     write_page,
 )
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
@@ -148,9 +149,8 @@ def adjust_command(
                 read = partial(_image, paths, reading_dem)
                 of_map = registered_to(views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach)
                 more["registrations"] = of_map.outcomes
-                for one in of_map.assumed:
-                    block.assumed.append(one)
-                    print_note(f"assumed: {one}")
+                block.assumed.extend(of_map.assumed)
+                print_assumed(of_map.assumed)
             with working("adjusting"):
                 unknowns = _interior(views, block.errors) if self_calibrate else None
                 found = _corrected(views, ties, unknowns, control, None if of_map is None else of_map.control)
@@ -230,9 +230,7 @@ def _read(given: OrientedImages) -> Block:
 
     observed, paths = given.read()
     assumed = [as_typed(one) for one in observed.assumed]
-    for one in assumed:
-        if "sigma" in one:
-            print_note(f"assumed: {one}")
+    print_assumed([one for one in assumed if "sigma" in one])
     rows = _without_copies(observed.read_rows.tolist(), paths)
     if len(rows) < 2:
         raise UserError(f"{observed.source}: adjust needs two images or more with positions; got {len(rows)}.")

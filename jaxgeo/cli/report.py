@@ -12,6 +12,7 @@ import typer
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._archive_dem import messages
+from jaxgeo.cli._assumed import assumed_shares, told_shares
 from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -21,7 +22,7 @@ from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, Observation
 from jaxgeo.cli._locate_results import exit_without_fix, locate_inputs
 from jaxgeo.cli._options import WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, working
+from jaxgeo.cli._screen import print_counts, print_note, working
 from jaxgeo.fix import Fix
 
 ENDINGS = (".html", ".htm")
@@ -117,13 +118,21 @@ def _report(
     with working("computing details"):
         details = details_of(subject, most=page.details)
     assumed = [*inputs.assumed, *messages(), *(f"Not read: {reason}" for reason in reasons or () if reason is not None)]
-    header = ReportHeader(page.title or _title(options), _inputs(options), assumed)
+    shares = assumed_shares(inputs, accuracy)
+    said = told_shares(shares, probability, count=len(observed))
+    header = ReportHeader(page.title or _title(options), _inputs(options), assumed, notice=said or "")
     with working("drawing"):
         stream.write(report_html(subject, header=header, details=details))
     rows = observed.table(fixes, accuracy, reasons=reasons)
+    if said is not None:
+        print_note(said)
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:
-        content = {"fixes": rows, "details": [detail.to_dict() for detail in details]}
+        content = {
+            "assumed_variance_shares": shares,
+            "fixes": rows,
+            "details": [detail.to_dict() for detail in details],
+        }
         print_json("report", {"inputs": options.inputs, "assumed": inputs.assumed, **content})
     return inputs, fixes
 

@@ -9,6 +9,7 @@ import typer
 
 from jaxgeo._destination import check_place
 from jaxgeo.cli._acquisitions import ReadingOptions, reading_files
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import check_no_overwrite
@@ -79,6 +80,7 @@ def write_scene_of(
     left_out = write_scene(
         output, look.sensor, look.motion, sources=sources, atmosphere=look.atmosphere, comment=comment
     )
-    for one in (*assumed, *left_out):
-        print_note(f"assumed: {one}" if one in assumed else one)
+    print_assumed(assumed)
+    for one in left_out:
+        print_note(one)
     return names[0], [*assumed, *left_out]

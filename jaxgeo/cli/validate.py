@@ -12,6 +12,7 @@ import typer
 
 from jaxgeo._destination import check_no_input, check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
@@ -21,7 +22,7 @@ from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, SceneOfFiles
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_note, working
+from jaxgeo.cli._screen import working
 
 if TYPE_CHECKING:
     from jaxgeo.io import SurveyedPixels
@@ -179,8 +180,7 @@ def _run(
     inputs = read_inputs(options, True, output, check)
     assumed = list(inputs.assumed)
     survey, pixel = _sigmas(of_points, surveyed, inputs.observed, assumed)
-    for one in assumed[len(inputs.assumed) :]:
-        print_note(f"assumed: {one}")
+    print_assumed(assumed[len(inputs.assumed) :])
     points, errors, rows = check_points_of(inputs.observed, surveyed, sigma_enu=survey, sigma_px=pixel)
     ground = _ground(inputs, rows)
     with working("comparing"):

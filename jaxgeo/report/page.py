@@ -55,13 +55,14 @@ LAYERS = (  # key, label, (swatch kind, colour)
 class ReportHeader:
     """Title, inputs and assumptions shown on a page.
 
-    `made` is the creation time; now by default.
+    `made` is the creation time; now by default. `notice` is a sentence shown above the results.
     """
 
     title: str = "Ground coordinates and accuracy"
     inputs: Mapping[str, Any] = field(default_factory=dict)
     assumed: Sequence[str] = ()
     made: datetime.datetime | None = None
+    notice: str = ""
 
 
 def write_report(
