@@ -369,6 +369,28 @@ def test_plan_by_the_ground(tmp_path: pathlib.Path, flight) -> None:
 TARGET = ["point", "--scene", scene_file()]
 OVERLAP = ["overlap", "--scene", scene_file(), "--dem", DEM]
 PLAN = ["plan", "--scene", scene_file(), "--dem", DEM, "--navigation", "FLIGHT", "--output", "plan.csv"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["plan", "overlap", "footprint"])
+def test_long_commands_show_how_far_they_are(tmp_path: pathlib.Path, monkeypatch, flight, command: str) -> None:
+    """On a terminal, on stderr; not with --quiet, and not in a pipe."""
+    given = {
+        "plan": ("--navigation", flight(), "--overlap", "0.9", "-o", tmp_path / "plan.csv"),
+        "overlap": ("--navigation", flight(), "--times", "101,103,107"),
+        "footprint": (),
+    }[command]
+    words = {"plan": "planning, s of the flight", "overlap": "computing overlaps", "footprint": "computing footprints"}
+    line = (command, "--scene", scene_file(), "--dem", DEM, *given)
+    assert words[command] not in run(*line).output
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    shown = run(*line)
+    assert words[command] in shown.stderr
+    assert words[command] not in shown.stdout
+    assert words[command] not in run(*line, "--quiet").output
+
+
 FOOTPRINT = ["footprint", "--scene", scene_file(), "--dem", DEM]
 MISTAKES = [
     ([*TARGET], ["--target", "--line-of-sight"]),

@@ -14,7 +14,7 @@ from rich import box
 from rich.cells import cell_len
 from rich.console import Console as AnyConsole
 from rich.console import ConsoleOptions
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -84,7 +84,13 @@ def track(items: Sequence[Item], words: str) -> Iterator[Item]:
 def progress_bar() -> Progress:
     """A transient progress bar on stderr, disabled if that is no terminal."""
     console = stderr()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or is_quiet())
 
 
