@@ -18,6 +18,7 @@ from jax._src import xla_bridge
 
 from jaxgeo._checks import enable_x64, is_forked_from_jax, is_x64
 from jaxgeo._export import register_for_export
+from jaxgeo._keywords import check_keywords, hinted
 
 T = TypeVar("T")
 
@@ -34,6 +35,18 @@ class Record(eqx.Module):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         register_for_export(cls)
+        for name, value in tuple(vars(cls).items()):
+            if isinstance(value, classmethod) and not name.startswith("_"):
+                setattr(cls, name, classmethod(hinted(value.__func__)))
+
+    if not TYPE_CHECKING:
+
+        @no_type_check  # each call would be checked in tests
+        def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+            """A new record; raises `TypeError` as `check_keywords`."""
+            if kwargs:
+                check_keywords(cls.__init__, cls, "", kwargs)
+            return super().__new__(cls, *args, **kwargs)
 
     def __check_init__(self) -> None:
         if is_x64():

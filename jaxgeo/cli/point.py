@@ -188,7 +188,7 @@ class _Aircraft:
         """Whether a scene gives the sensor, and --position the place."""
         return self.position is not None and given.is_scene and given.scene_file is not None
 
-    def exposure(self, given: ExposureOptions, datum: str | float | None) -> GivenExposure:
+    def exposure(self, given: ExposureOptions, datum: str | None) -> GivenExposure:
         """The sensor of a scene at this position, with its attitude or level and to the north. Raises `UserError`."""
         from jaxgeo.io.scene import read_scene
 

@@ -47,8 +47,8 @@ def covered_part(
     >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
     >>> shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=1600.0))
     >>> part = coverage.covered_part(sensor, shot, jaxgeo.ConstantHeight(600.0))
-    >>> print(f"{part.area:.0f} m2, {100.0 * part.share:.0f} % of the image")
-    500000 m2, 100 % of the image
+    >>> print(f"{part.area / 1e6:.2f} km2, {100.0 * part.share:.0f} % of the image")
+    0.50 km2, 100 % of the image
     """
     sensor, image = checked_image(sensor, image)
     check_terrain(terrain, FIRST_HIT)

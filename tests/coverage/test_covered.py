@@ -18,8 +18,8 @@ SIDE = 4000.0  # m, of the elevation model
 CASES = [(0.0, 0.0), (17.0, 3.0), (0.0, -8.0), (-4.0, 12.0)]
 
 
-def shot(heading: float = 0.0, **attitude: float) -> Shot:
-    return Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=HEIGHT, heading=heading, **attitude))
+def shot(heading: float = 0.0, *, pitch: float = 0.0, roll: float = 0.0) -> Shot:
+    return Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=HEIGHT, heading=heading, pitch=pitch, roll=roll))
 
 
 def ground(west: float, east: float, *, side: float = SIDE) -> Dem:
