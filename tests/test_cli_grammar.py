@@ -216,6 +216,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
     f"overlap FILE --dem dem.tif {FILE}",
     f"overlap FILE --ground 300 --dem-datum EPSG:5773 {FILE}",
+    f"inspect FILE --dem dem.tif --dem-datum EPSG:5773 {READING}",
+    f"scene FILE --dem dem.tif --dem-datum EPSG:5773 {READING} -o out.toml",
     f"scene FILE {FILE} --scene camera.toml --camera-datum ellipsoid -o out.toml",
     f"register FILE --reference ortho.tif --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid "
     "-o out",

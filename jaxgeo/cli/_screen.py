@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import dataclasses
+import pathlib
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 from rich.text import Text
 
+from jaxgeo._destination import is_device
 from jaxgeo.cli._console import Console
 
 Item = TypeVar("Item")
@@ -34,6 +36,13 @@ def print_note(message: str) -> None:
     """`print_message` of what is not an error; nothing with --quiet."""
     if not _quiet.get():
         print_message(message)
+
+
+def print_written(*places: Any) -> None:
+    """Print a note for each file or folder that was written; not for the screen and for devices."""
+    for place in places:
+        if place is not None and not is_device(pathlib.Path(place)):
+            print_note(f"written: {place}")
 
 
 def set_quiet(is_quiet: bool) -> None:

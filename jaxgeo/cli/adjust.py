@@ -34,7 +34,7 @@ from jaxgeo.cli._option_names import as_typed, translate_reach_errors
 from jaxgeo.cli._options import WRITING, DemFiles, DemOptions
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_note, progress_bar, working
+from jaxgeo.cli._screen import print_note, print_written, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
@@ -162,6 +162,7 @@ def adjust_command(
             if of_mosaic.mosaic is not None:
                 more["mosaic"] = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
                 written.append(more["mosaic"]["file"])
+        print_written(*([output] if written else []), of_mosaic.mosaic if found is not None else None)
         content = content_of(views, ties, found, written, time.perf_counter() - began) | more
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": block.assumed, **content})

@@ -21,7 +21,7 @@ from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import number_table, print_counts, print_note, track
+from jaxgeo.cli._screen import number_table, print_counts, print_written, track
 
 HIT = "hit"  # the status of a whole footprint
 ENDINGS = (".geojson", ".json", ".gpkg")
@@ -121,7 +121,7 @@ def _footprint(
         rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
         write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
-        print_note(f"written: {output}")
+        print_written(output)
     return found, rows, outlines
 
 

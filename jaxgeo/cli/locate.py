@@ -28,7 +28,7 @@ from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixe
 from jaxgeo.cli._option_names import reason_not_read
 from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, print_message, print_note
+from jaxgeo.cli._screen import print_counts, print_message, print_note, print_written
 from jaxgeo.status import Status, counts_as_fix
 
 STYLED = (".gpkg", ".geojson", ".json")
@@ -190,7 +190,7 @@ def _locate_all(
             style=writing.style,
             **writing.drawn,
         )
-        print_note(f"written: {writing.output}")
+        print_written(writing.output)
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:
         if outlines is not None:
@@ -229,6 +229,7 @@ def _locate_on_cluster(
         )
     counts = statuses_of(run)
     print_missing(run)
+    print_written(folder)
     print_counts(counts, len(observed))
     if as_json:
         print_json(
@@ -267,8 +268,7 @@ def _locate_rows(options: LocateOptions, accuracy: bool | None, probability: flo
             print_counts(counts, len(inputs.observed))
         _write_rows(rows, inputs, None if found is None else probability, chosen, stream)
         stream.flush()
-    if writing.output is not None:
-        print_note(f"written: {writing.output}")
+    print_written(writing.output)
     if chosen is not Format.table:  # after the rows, not between them
         print_counts(counts, len(inputs.observed))
     if fixes is not None:

@@ -25,7 +25,7 @@ from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import number_table, print_counts, print_note, track
+from jaxgeo.cli._screen import number_table, print_counts, print_note, print_written, track
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
 COLUMNS = {
@@ -103,6 +103,7 @@ def overlap_command(
             _print_partial(partial)
             if output is not None or not as_json:
                 _write(rows, chosen, stream)
+        print_written(output)
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
             print_json("overlap", {"inputs": inputs, "pairs": pairs, "partial": partial, "unread": images.unread})

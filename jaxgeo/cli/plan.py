@@ -21,7 +21,7 @@ from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import is_quiet, print_counts, progress_bar, stderr
+from jaxgeo.cli._screen import is_quiet, print_counts, print_written, progress_bar, stderr
 from jaxgeo.cli.overlap import BOTH
 
 ALONG = 100  # times along a flight for whose images the ground is fetched
@@ -145,7 +145,8 @@ def _plan(
         bar.update(task, description="computing overlaps")
         shots = jax.vmap(flight.at)(found.times)
     write_exposures(output, shots, sensor.gimbal.names, overlaps=found.overlaps)
-    _summarise(found, output)
+    print_written(output)
+    _summarise(found)
     return _exposures(shots, sensor.gimbal.names, found.overlaps)
 
 
@@ -189,7 +190,7 @@ def _timing(way: str, number: float | None, place: Place) -> Any:
     return VelocityHeight(number) if way == "velocity-height" else FixedPeriod(number)
 
 
-def _summarise(found: Any, output: pathlib.Path) -> None:
+def _summarise(found: Any) -> None:
     """Print the number of exposures and their overlap on stderr."""
     import numpy as np
 
@@ -201,7 +202,7 @@ def _summarise(found: Any, output: pathlib.Path) -> None:
     intervals = np.diff(times)
     console = stderr()
     said = [
-        f"{output}: {len(times)} exposures from {times[0]:.3f} to {times[-1]:.3f} s, "
+        f"{len(times)} exposures from {times[0]:.3f} to {times[-1]:.3f} s, "
         f"every {intervals.min():.3f} to {intervals.max():.3f} s"
     ]
     for place in ("near", "least"):

@@ -24,7 +24,7 @@ from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
-from jaxgeo.cli._screen import working
+from jaxgeo.cli._screen import print_written, working
 from jaxgeo.cli.scene import write_scene_of
 
 
@@ -95,6 +95,7 @@ def register_command(
                 content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
                 content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
                 write_registration_report(output / "report.json", content)
+        print_written(output)
         print_report(content, output, found, as_json)
     if not found.accepted:
         raise typer.Exit(NO_ANSWER)

@@ -22,7 +22,7 @@ from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, Observation
 from jaxgeo.cli._locate_results import exit_without_fix, locate_inputs
 from jaxgeo.cli._options import WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, print_note, working
+from jaxgeo.cli._screen import print_counts, print_note, print_written, working
 from jaxgeo.fix import Fix
 
 ENDINGS = (".html", ".htm")
@@ -73,6 +73,7 @@ def report_command(
         _ = reading.arguments  # raises for wrong values
         with destination("--output", output) as stream:
             inputs, fixes = _report(options, probability, output, stream, page, many, as_json)
+        print_written(output)
         exit_without_fix(inputs, fixes)
 
 

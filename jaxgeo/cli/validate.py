@@ -22,7 +22,7 @@ from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, SceneOfFiles
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import working
+from jaxgeo.cli._screen import print_written, working
 
 if TYPE_CHECKING:
     from jaxgeo.io import SurveyedPixels
@@ -134,6 +134,7 @@ def validate_command(
         with contextlib.ExitStack() as stack:
             stream = None if output is None else stack.enter_context(destination("--output", output, binary=True))
             _run(of_points, options, output, stream, calibration, as_json)
+        print_written(calibration.file, output)
 
 
 def _check(
@@ -192,10 +193,9 @@ def _run(
             calibrated = calibrate_errors(points, ground, errors, each_axis=calibration.each_axis)
         _write(calibration.file, calibrated)
         told["calibration"] = calibrated.to_dict()
-        lines += ["", calibrated.words, f"sigmas: {calibration.file}"]
+        lines += ["", calibrated.words]
     if stream is not None:
         _draw(found, stream, output)
-        lines.append(f"figure: {output}")
     if as_json:
         typed = {"points": f"{of_points.points}", "points_datum": of_points.points_datum}
         print_json("validate", {"inputs": options.inputs | typed, "assumed": assumed, **told})
