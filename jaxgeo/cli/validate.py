@@ -22,7 +22,7 @@ from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, SceneOfFiles
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_written, working
+from jaxgeo.cli._screen import print_note, print_written, working
 
 if TYPE_CHECKING:
     from jaxgeo.io import SurveyedPixels
@@ -173,6 +173,8 @@ def _run(
     compile_quickly(options.has_terrain_field)
     enable_x64()
     surveyed = _surveyed(of_points, options)
+    for one in surveyed.unread:
+        print_note(f"{of_points.points}: {one}")
 
     def check(observed: Any, _: bool) -> None:
         """Raise for images that are not there, before the ground is read."""

@@ -31,6 +31,7 @@ from jaxgeo.io._orientation_columns import (
     stated_crs,
 )
 from jaxgeo.io._prj import name_of, prj_beside, read_prj
+from jaxgeo.io._unread_columns import unread_columns
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.vertical import is_unnamed
@@ -89,6 +90,9 @@ class Orientations:
         camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
         pose = jax.tree.map(lambda x: x[rows], self.pose)
         return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed, self.of_camera)
+
+
+OF_PROGRAMS = {*(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)), "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
 
 
 def read_orientations(
@@ -318,10 +322,17 @@ def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergen
     return Pose.from_omega_phi_kappa(position, omega, phi, kappa, convergence=convergence)
 
 
+def unread_of(columns: Columns) -> list[str]:
+    """[a sentence on the columns of a table of orientations or positions that are not read], or []."""
+    of_programs = {name for name in columns.table.header if name.lower() in OF_PROGRAMS}
+    known = {*ALIASES, *SIGMA_COLUMNS} - set(columns.called)
+    return unread_columns(columns.table.header, known, read={*columns.called.values(), *of_programs})
+
+
 def _of_program(columns: Columns) -> list[str]:
     """Assumptions about a program's columns."""
     header = [name.lower() for name in columns.table.header]
-    notes = []
+    notes = unread_of(columns)
     if "f=n" in header:
         notes.append(
             "W, P and K are taken as omega, phi and kappa in deg, as MicMac's OriConvert does; where they are pitch, "
