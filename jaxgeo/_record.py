@@ -102,6 +102,28 @@ _BoundMethod: Any = type(_EXAMPLE)
 _IS_BOUND_SO = vars(_EXAMPLE) == vars(_bound(_EXAMPLE.__func__, _EXAMPLE.__self__))
 
 
+def has_numbers(*values: Any) -> bool:
+    """Whether all values are numbers or arrays of numbers, none of them traced or a placeholder."""
+
+    def is_number(value: Any) -> bool:
+        if isinstance(value, bool | jax.core.Tracer):
+            return False
+        is_array = isinstance(value, np.ndarray | np.generic | jax.Array)
+        return isinstance(value, int | float) or (is_array and value.dtype.kind in "fiu")
+
+    return all(map(is_number, values))
+
+
+def range_text(values: Any, digits: int) -> str:
+    """A number as text, or the least and the largest of many: `12.5`, `12.5 to 13.0`."""
+    numbers = np.asarray(values, np.float64)
+    known = numbers[np.isfinite(numbers)]
+    if not known.size:
+        return "unknown"
+    texts = dict.fromkeys(f"{one:z.{digits}f}" for one in (known.min(), known.max()))
+    return " to ".join(texts)
+
+
 def portable(cls: type[T]) -> type[T]:
     """Class decorator: pickle a `NamedTuple` or dataclass like a `Record`; also for exceptions with extra arguments."""
     if issubclass(cls, BaseException):
