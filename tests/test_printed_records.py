@@ -44,7 +44,7 @@ def test_a_dem() -> None:
 def test_a_strip_and_its_gaps() -> None:
     shot = Shot(POSE, SENSOR.gimbal.readings_from_degrees(outer=65.0, inner=0.0))
     numbers = map(jnp.asarray, (170.0, math.radians(160.0), 0.15, 100.0, 300.0))
-    strip = Strip(SENSOR, shot, ConstantHeight(300.0), *numbers, None, 6, "rows", 3)
+    strip = Strip(SENSOR, shot, ConstantHeight(300.0), *numbers, None, 6, "rows", 3)  # pyright: ignore[reportCallIssue]
     assert re.fullmatch(
         r"Strip\(6 images 85\.\d m apart, at 170\.0 m/s, course 160\.000 deg, overlap 15\.0 % at the near end, flight "
         r"along rows\)",
