@@ -123,7 +123,7 @@ def _report(
     said = told_shares(shares, probability, count=len(observed))
     header = ReportHeader(page.title or _title(options), _inputs(options), assumed, notice=said or "")
     with working("drawing"):
-        stream.write(report_html(subject, header=header, details=details))
+        stream.write(report_html(subject, header=header, details=details, images=_images(options, observed)))
     rows = observed.table(fixes, accuracy, reasons=reasons)
     if said is not None:
         print_note(said)
@@ -136,6 +136,19 @@ def _report(
         }
         print_json("report", {"inputs": options.inputs, "assumed": inputs.assumed, **content})
     return inputs, fixes
+
+
+def _images(options: LocateOptions, observed: Any) -> dict[int, pathlib.Path]:
+    """The image files of drone images, by pixel of the page."""
+    from jaxgeo.io.acquisitions.several import files_of
+    from jaxgeo.io.observation_reader import IMAGE_ENDINGS
+
+    if options.is_scene:
+        return {}
+    files = [pathlib.Path(one) for one in files_of(options.files)[0]]
+    by_name = {one.name: one for one in files if one.suffix.lower() in IMAGE_ENDINGS}
+    names = [str(observed.columns[row].get("name")) for row in observed.read_rows.tolist()]
+    return {index: by_name[name] for index, name in enumerate(names) if name in by_name}
 
 
 def _title(options: LocateOptions) -> str:
