@@ -55,6 +55,12 @@ def test_assumptions_are_two_notes_that_keep_every_fact(capsys: pytest.CaptureFi
         assert sentence.rpartition("(")[2] in line, "its option"
 
 
+def test_items_without_an_option_have_no_full_stop(capsys: pytest.CaptureFixture[str]) -> None:
+    print_assumed(["Position sigma: 3 m (default).", "Gimbal angle sigma: 1 deg (yaw; default)."])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("assumed: Standard deviations: position 3 m (default); gimbal angle 1 deg (yaw; default).")
+
+
 @pytest.mark.costly
 def test_the_shares_of_assumed_sigmas_are_those_of_the_budget(image: pathlib.Path) -> None:
     told = json.loads(locate(image, *GROUND, "--pixel", "10,20", "--json").stdout)

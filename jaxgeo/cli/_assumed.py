@@ -49,7 +49,7 @@ def _as_sentence(text: str) -> str:
 
 def _as_item(text: str) -> str:
     """A sentence on a standard deviation as an item of a list: `position 3, 3, 5 m (--position-sigma)`."""
-    text = text.replace(". (", " (").replace(" sigma: ", " ", 1)
+    text = text.replace(". (", " (").replace(" sigma: ", " ", 1).removesuffix(".")
     return text[:1].lower() + text[1:] if not text[:2].isupper() else text
 
 
