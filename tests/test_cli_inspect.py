@@ -19,6 +19,7 @@ from support.klv_packets import local_set, usual
 from support.video_files import written_video
 
 from jaxgeo.cli import app
+from jaxgeo.cli._option_names import as_typed
 from jaxgeo.demo import scene_file
 from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
@@ -139,7 +140,7 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
     told = json.loads(result.output)
     assert told["form"] == found.form
     assert told["height_datum_unstated"] is None
-    assert told["assumed"] == list(found.assumed)
+    assert told["assumed"] == list(map(as_typed, found.assumed))
     np.testing.assert_array_equal([row["name"] for row in told["exposures"]], found.names)
     height = [row["height_m"] for row in told["exposures"]]
     np.testing.assert_allclose(height, found.shots.pose.position.height, atol=1e-9)
