@@ -18,6 +18,7 @@ from jax._src import xla_bridge
 
 from jaxgeo._checks import enable_x64, is_forked_from_jax, is_x64
 from jaxgeo._export import register_for_export
+from jaxgeo._keywords import check_keywords, hinted
 
 T = TypeVar("T")
 
@@ -34,6 +35,18 @@ class Record(eqx.Module):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         register_for_export(cls)
+        for name, value in tuple(vars(cls).items()):
+            if isinstance(value, classmethod) and not name.startswith("_"):
+                setattr(cls, name, classmethod(hinted(value.__func__)))
+
+    if not TYPE_CHECKING:
+
+        @no_type_check  # each call would be checked in tests
+        def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+            """A new record; raises `TypeError` as `check_keywords`."""
+            if kwargs:
+                check_keywords(cls.__init__, cls, "", kwargs)
+            return super().__new__(cls, *args, **kwargs)
 
     def __check_init__(self) -> None:
         if is_x64():
@@ -87,6 +100,28 @@ _EXAMPLE = _bound_by_equinox()
 _BoundMethod: Any = type(_EXAMPLE)
 # whether this version of equinox makes the same bound methods as `_bound`
 _IS_BOUND_SO = vars(_EXAMPLE) == vars(_bound(_EXAMPLE.__func__, _EXAMPLE.__self__))
+
+
+def has_numbers(*values: Any) -> bool:
+    """Whether all values are numbers or arrays of numbers, none of them traced or a placeholder."""
+
+    def is_number(value: Any) -> bool:
+        if isinstance(value, bool | jax.core.Tracer):
+            return False
+        is_array = isinstance(value, np.ndarray | np.generic | jax.Array)
+        return isinstance(value, int | float) or (is_array and value.dtype.kind in "fiu")
+
+    return all(map(is_number, values))
+
+
+def range_text(values: Any, digits: int) -> str:
+    """A number as text, or the least and the largest of many: `12.5`, `12.5 to 13.0`."""
+    numbers = np.asarray(values, np.float64)
+    known = numbers[np.isfinite(numbers)]
+    if not known.size:
+        return "unknown"
+    texts = dict.fromkeys(f"{one:z.{digits}f}" for one in (known.min(), known.max()))
+    return " to ".join(texts)
 
 
 def portable(cls: type[T]) -> type[T]:

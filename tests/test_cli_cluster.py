@@ -240,7 +240,7 @@ def test_an_image_without_an_orthophoto_is_told_with_its_reason(survey: pathlib.
         (["a.jpg", "--scene", "scene.toml", "--camera-datum", "ellipsoid"], "--camera-datum is for images that state"),
         (["a.jpg", "--scene", "scene.toml", "--images", "."], "--images . is for a file with the poses of many"),
         (["a.jpg", "--scene", "scene.toml", "--cluster", "local:2"], "--cluster is for several images; --scene scene"),
-        (["a.jpg", "--images", "nowhere"], "--images nowhere: there is no such folder."),
+        (["a.jpg", "--images", "nowhere"], "--images nowhere: there is no such folder"),
         (["a.jpg", "b.jpg", "--like", "a.tif"], "--like is for one image; of several, each has its own."),
         (["a.jpg", "b.jpg", "--crs", "EPSG:32616", "--bounds", "1,2,3,4"], "--bounds is for one image"),
         (["a.jpg", "--resume"], "--resume completes a folder of parts"),

@@ -9,6 +9,9 @@ import pathlib
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio.windows import from_bounds
+from support.command_files import prepare
 from support.command_runner import CliRunner
 
 from jaxgeo import coverage
@@ -124,6 +127,118 @@ def test_footprints_of_a_table(tmp_path: pathlib.Path, shots_file: pathlib.Path)
 
 
 @pytest.mark.slow
+def test_an_incomplete_footprint_has_the_part_over_known_ground(tmp_path: pathlib.Path) -> None:
+    """With the status and the exit code of an incomplete one; a complete one has no partial area."""
+    prepare(tmp_path, "images dem.tif")
+    small = tmp_path / "small.tif"
+    with rasterio.open(tmp_path / "dem.tif") as whole:
+        window = from_bounds(-84.107, 36.3135, -84.098, 36.3180, whole.transform).round_offsets().round_lengths()
+        profile = {"driver": "GTiff", "height": window.height, "width": window.width, "count": 1}
+        profile |= {"crs": whole.crs, "dtype": whole.dtypes[0], "transform": whole.window_transform(window)}
+        with rasterio.open(small, "w", **profile) as part:
+            part.write(whole.read(1, window=window), 1)
+    given = [str(tmp_path / "images"), "--camera-datum", "ellipsoid", "--dem"]
+    told = run("footprint", *given, small, "--json")
+    assert told.exit_code == 1, told.output
+    for one in json.loads(told.stdout)["footprints"]:
+        assert one["status"] == "leaves_terrain"
+        assert one["area_km2"] is None
+        assert 0.2 < one["covered_share"] < 0.8
+        assert 0.05 < one["covered_area_km2"] < 0.5
+    shown = run("footprint", *given, small).stdout
+    assert "partial" in shown
+    assert "of image" in shown
+    whole = json.loads(run("footprint", *given, DEM, "--json").stdout)["footprints"][0]
+    assert (whole["status"], whole["covered_area_km2"], whole["covered_share"]) == ("hit", None, None)
+
+
+@pytest.mark.slow
+def test_overlap_over_part_of_the_ground_names_the_parts(tmp_path: pathlib.Path, flight) -> None:
+    """The elevation model is cut so that two images of a flight are partly over it."""
+    prepare(tmp_path, "dem.tif")
+    small = tmp_path / "small.tif"
+    with rasterio.open(tmp_path / "dem.tif") as whole:
+        window = from_bounds(-84.30, 36.20, -84.08, 36.30, whole.transform).round_offsets().round_lengths()
+        profile = {"driver": "GTiff", "height": window.height, "width": window.width, "count": 1}
+        profile |= {"crs": whole.crs, "dtype": whole.dtypes[0], "transform": whole.window_transform(window)}
+        with rasterio.open(small, "w", **profile) as part:
+            part.write(whole.read(1, window=window), 1)
+    given = ("overlap", "--scene", scene_file(), "--dem", small, "--navigation", flight(), "--times", "101,103")
+    told = run(*given, "--json")
+    content = json.loads(told.stdout)
+    assert told.exit_code == 1
+    assert content["pairs"][0]["status"] not in ("hit", "images_apart")
+    assert list(content["partial"]) == ["101 s", "103 s"]
+    assert all(0.0 < one["covered_share"] < 1.0 for one in content["partial"].values())
+    assert "partial: share of the image that sees known ground, and its area: 101 s " in told.stderr
+
+
+def test_the_aircraft_of_point_may_stand_on_the_command_line(tmp_path: pathlib.Path) -> None:
+    """In place of the pose of a scene, of one that has none, and of a file."""
+    text = scene_file().read_text()
+    start = text.index("[pose]")
+    bare = tmp_path / "bare.toml"
+    bare.write_text(text[:start] + text[text.index("[errors]") :])
+    aims = ("--target", "36.31,-84.25,900", "--target-datum", "EPSG:5773", "--quiet")
+    place = ("--position", "36.318,-84.105,5500", "--attitude", "160,1,-0.5")
+    own = run("point", "--scene", scene_file(), *aims)
+    assert own.exit_code == 0, own.output
+    given = run("point", "--scene", bare, *aims, *place, "--camera-datum", "EPSG:5773")
+    assert given.exit_code == 0, given.output
+    assert given.stdout == own.stdout
+    assert run("point", "--scene", scene_file(), *aims, *place).stdout == own.stdout, "heights as in the scene"
+    assert run("point", "--scene", scene_file(), *aims, "--attitude", "161,1,-0.5").stdout != own.stdout
+    level = run("point", "--scene", bare, *aims[:-1], *place[:2], "--camera-datum", "EPSG:5773")
+    assert "assumed: The aircraft is level and heads north. (--attitude" in level.stderr
+    prepare(tmp_path, "DJI_0042.JPG")
+    image = ("point", tmp_path / "DJI_0042.JPG", "--camera-datum", "ellipsoid", *aims)
+    there = run(*image, "--position", "36.318,-84.105,900")
+    assert there.stdout == run(*image).stdout
+    assert run(*image, "--position", "36.319,-84.105,900").stdout != there.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--position", "36.3,-84.1"), ["--position '36.3,-84.1'", "LAT,LON,HEIGHT"]),
+        (("--position", "-184.1,36.3,5500"), ["--position", "is it LON,LAT?"]),
+        (("--attitude", "1,2"), ["--attitude '1,2'", "HEADING,PITCH,ROLL"]),
+    ],
+)
+def test_a_wrong_aircraft_is_refused(arguments: tuple[str, ...], words: list[str]) -> None:
+    assert_refused(run("point", "--scene", scene_file(), "--line-of-sight", "250,18", *arguments), *words)
+
+
+def test_a_scene_without_a_pose_asks_for_a_position(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "bare.toml"
+    text = scene_file().read_text()
+    path.write_text(text[: text.index("[pose]")])
+    said = run("point", "--scene", path, "--line-of-sight", "250,18")
+    assert_refused(said, "[pose] is missing; pointing without --position needs it.")
+    said = run("point", "--scene", path, "--line-of-sight", "250,18", "--position", "36.3,-84.1,5500")
+    assert_refused(said, "--position: say what its height is above, with --camera-datum.")
+
+
+def test_images_from_one_place_have_no_direction_of_flight(tmp_path: pathlib.Path) -> None:
+    prepare(tmp_path, "images dem.tif")
+    given = ("overlap", tmp_path / "images", "--camera-datum", "ellipsoid", "--dem", tmp_path / "dem.tif", "--quiet")
+    assert_refused(run(*given, "--along", "rows"), "DJI_0042.JPG and DJI_0043.JPG are taken from one place")
+
+
+@pytest.mark.parametrize("command", ["locate", "view", "accuracy-map", "report"])
+def test_commands_of_pixels_offer_the_reported_ground(tmp_path: pathlib.Path, command: str) -> None:
+    output = {"accuracy-map": ["-o", tmp_path / "a.tif", "--resolution", "5"], "report": ["-o", tmp_path / "a.html"]}
+    assert_refused(run(command, scene_file(), *output.get(command, [])), "give the ground", "--ground reported")
+
+
+@pytest.mark.parametrize("command", ["footprint", "overlap"])
+def test_commands_of_images_do_not_offer_it(command: str) -> None:
+    said = run(command, "--scene", scene_file(), *(["--shots", "shots.csv"] if command == "overlap" else []))
+    assert_refused(said, "give the ground")
+    assert "reported" not in said.stderr
+
+
+@pytest.mark.slow
 def test_point_at_the_ground_of_the_dem_and_at_a_height() -> None:
     """What the optical axis of the demo's scene sees is looked at by its own readings."""
     point = ("point", "--scene", scene_file(), "--target")
@@ -132,7 +247,7 @@ def test_point_at_the_ground_of_the_dem_and_at_a_height() -> None:
     assert on_ground.stdout.splitlines() == ["outer_deg = 72.000000", "inner_deg = 0.000000"]
     assert "564.57 m above the ellipsoid" in on_ground.stderr
     assert Status.hit.message in on_ground.stderr
-    at_height = run(*point, "36.26902887,-84.26795441,564.5726", "--camera-datum", "ellipsoid")
+    at_height = run(*point, "36.26902887,-84.26795441,564.5726", "--target-datum", "ellipsoid")
     assert at_height.exit_code == 0, at_height.output
     assert at_height.stdout == on_ground.stdout
     above_the_sea = run(*point, "36.26902887,-84.26795441,564.5726")
@@ -170,7 +285,7 @@ def test_point_out_of_range_tells_the_nearest() -> None:
 @pytest.mark.slow
 def test_point_at_what_is_hidden() -> None:
     """Ground behind a ridge: the readings hold, and the exit code says that it is not seen."""
-    result = run("point", "--scene", scene_file(), "--dem", DEM, "--target", "36.2,-84.35,0", "--camera-datum", "0")
+    result = run("point", "--scene", scene_file(), "--dem", DEM, "--target", "36.2,-84.35,0", "--target-datum", "0")
     assert result.exit_code == 1, result.output
     assert [line.split(" = ")[0] for line in result.stdout.splitlines()] == ["outer_deg", "inner_deg"]
     assert Status.hidden_by_terrain.message in result.stderr
@@ -254,6 +369,28 @@ def test_plan_by_the_ground(tmp_path: pathlib.Path, flight) -> None:
 TARGET = ["point", "--scene", scene_file()]
 OVERLAP = ["overlap", "--scene", scene_file(), "--dem", DEM]
 PLAN = ["plan", "--scene", scene_file(), "--dem", DEM, "--navigation", "FLIGHT", "--output", "plan.csv"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["plan", "overlap", "footprint"])
+def test_long_commands_show_how_far_they_are(tmp_path: pathlib.Path, monkeypatch, flight, command: str) -> None:
+    """On a terminal, on stderr; not with --quiet, and not in a pipe."""
+    given = {
+        "plan": ("--navigation", flight(), "--overlap", "0.9", "-o", tmp_path / "plan.csv"),
+        "overlap": ("--navigation", flight(), "--times", "101,103,107"),
+        "footprint": (),
+    }[command]
+    words = {"plan": "planning, s of the flight", "overlap": "computing overlaps", "footprint": "computing footprints"}
+    line = (command, "--scene", scene_file(), "--dem", DEM, *given)
+    assert words[command] not in run(*line).output
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    shown = run(*line)
+    assert words[command] in shown.stderr
+    assert words[command] not in shown.stdout
+    assert words[command] not in run(*line, "--quiet").output
+
+
 FOOTPRINT = ["footprint", "--scene", scene_file(), "--dem", DEM]
 MISTAKES = [
     ([*TARGET], ["--target", "--line-of-sight"]),

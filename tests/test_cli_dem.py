@@ -36,6 +36,8 @@ LINES = {
     "rectify": f"image.tif {SCENE} -o out.tif",
     "adjust": f"images --camera-datum ellipsoid --dem {URL} -o out",
     "register": f"image.tif {SCENE} --reference ortho.tif --position-sigma 20 --attitude-sigma 0.3 -o out",
+    "inspect": f"DJI_0042.JPG --takeoff-height dem --dem {URL}",
+    "scene": f"DJI_0042.JPG --takeoff-height dem --dem {URL} -o out.toml",
     "validate": f"{SCENE} --points points.csv --points-datum ellipsoid",
     "study gu2017": f"{SCENE} --image image.tif --reference ortho.tif",
 }

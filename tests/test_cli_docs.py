@@ -21,6 +21,7 @@ PROJECT = pathlib.Path(__file__).resolve().parents[1]
 FENCE = re.compile(r"^ *```(?:console|shell|bash|sh)\b[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 ROW = re.compile(r"^\|[^|]*\| `(jaxgeo \w+ [^`]+)`", re.MULTILINE)  # of a table of commands
 NOT_RUN = "not run"
+WRITING = ("-o", "--output", "--calibrate", "--mosaic", "--write-scene", "--write-dem")  # options of files
 
 
 class Shown(NamedTuple):
@@ -107,11 +108,13 @@ def test_what_is_shown_is_done(tmp_path: pathlib.Path, monkeypatch, request, sho
     result = run(shown.words)
     assert result.exit_code == expected, f"{shown.where}: {shown.line}\n{result.output}"
     assert "Traceback" not in result.output
-    asked = [word for flag, word in zip(shown.words, shown.words[1:], strict=False) if flag in ("-o", "--output")]
+    asked = [word for flag, word in zip(shown.words, shown.words[1:], strict=False) if flag in WRITING]
     for name in asked:
         written = pathlib.Path(name.rstrip("/"))
         assert written.exists(), f"{shown.where}: {shown.line} has written no {name}"
         assert written.name in before or written.is_dir() or written.stat().st_size > 0
+        told = [line for line in result.stderr.splitlines() if line.startswith(f"jaxgeo: written: {written}")]
+        assert told or "--quiet" in shown.words, f"{shown.where}: {shown.line} does not say that it has written {name}"
 
 
 def test_every_command_has_examples_in_its_help() -> None:

@@ -139,6 +139,7 @@ LONG_LINES = [
     f"overlap {SCENE} --shots shots.csv",
     "footprint DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif",
     "point DJI_0042.JPG --camera-datum ellipsoid --target 36.3155,-84.104,340 --target-datum EPSG:5773 --json",
+    "point --scene scene.toml --position 36.318,-84.105,5500 --attitude 160,1,-0.5 --line-of-sight 250,18.5 --json",
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 --timing ground --place near --start 110 --along rows "
     "--dem-datum EPSG:5773 --camera-datum ellipsoid -o out.csv --json --debug",
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
@@ -215,6 +216,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
     f"overlap FILE --dem dem.tif {FILE}",
     f"overlap FILE --ground 300 --dem-datum EPSG:5773 {FILE}",
+    f"inspect FILE --dem dem.tif --dem-datum EPSG:5773 {READING}",
+    f"scene FILE --dem dem.tif --dem-datum EPSG:5773 {READING} -o out.toml",
     f"scene FILE {FILE} --scene camera.toml --camera-datum ellipsoid -o out.toml",
     f"register FILE --reference ortho.tif --dem dem.tif {FILE.removesuffix(' --exposure a')} --camera-datum ellipsoid "
     "-o out",

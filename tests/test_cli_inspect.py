@@ -5,18 +5,21 @@ from __future__ import annotations
 import csv
 import json
 import pathlib
+import re
 import shlex
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from support.autopilot_logs import AT, dataflash, ulog
+from support.command_files import prepare
 from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
 from support.video_files import written_video
 
 from jaxgeo.cli import app
+from jaxgeo.cli._option_names import as_typed
 from jaxgeo.demo import scene_file
 from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
@@ -137,7 +140,7 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
     told = json.loads(result.output)
     assert told["form"] == found.form
     assert told["height_datum_unstated"] is None
-    assert told["assumed"] == list(found.assumed)
+    assert told["assumed"] == list(map(as_typed, found.assumed))
     np.testing.assert_array_equal([row["name"] for row in told["exposures"]], found.names)
     height = [row["height_m"] for row in told["exposures"]]
     np.testing.assert_allclose(height, found.shots.pose.position.height, atol=1e-9)
@@ -373,3 +376,16 @@ def test_the_way_out_of_refused_telemetry_works_as_it_is_printed(tmp_path: pathl
     read = run(path, *shlex.split(printed))
     assert read.exit_code == 0, read.output
     assert "1 exposure" in read.output
+
+
+@pytest.mark.parametrize("name", ["flight.klv", "DJI_0042.JPG", "DJI_0001.SRT", "reconstruction.json", "mission.sbet"])
+def test_assumptions_name_options_as_they_are_typed(tmp_path: pathlib.Path, name: str) -> None:
+    """In JSON as on the screen: no keyword of Python."""
+    prepare(tmp_path, name)
+    told = CliRunner().invoke(app, ["inspect", str(tmp_path / name), "--json"])
+    content = json.loads(told.stdout)
+    sentences = [*content["assumed"], content["height_datum_unstated"] or ""]
+    for one in sentences:
+        assert not re.search(r"\b(image_size|height_datum|camera|crs|gimbal_deg|velocities|takeoff_height)=", one), one
+    if name == "flight.klv":
+        assert any("--image-size" in one for one in sentences)

@@ -35,6 +35,8 @@ LINES = {
     "rectify": f"{IMAGE} -o out.tif",
     "adjust": "images --takeoff-height dem --dem dem.tif -o out",
     "register": f"{IMAGE} --reference ortho.tif --position-sigma 20 --attitude-sigma 0.3 -o out",
+    "inspect": IMAGE,
+    "scene": f"{IMAGE} -o s.toml",
     "validate": "images --takeoff-height dem --dem dem.tif --points points.csv --points-datum ellipsoid",
 }
 
@@ -114,11 +116,11 @@ def test_every_command_has_it(name: str, here: pathlib.Path, monkeypatch: pytest
             f"locate {IMAGE.replace('height dem', 'height low')}",
             "--takeoff-height 'low': expected a height in m",
         ),
-        (
-            "inspect DJI_0042.JPG --takeoff-height dem",
-            "is for commands with --dem; give the height of the take-off",
-        ),
-        ("scene DJI_0042.JPG --takeoff-height dem -o s.toml", "is for commands with --dem; give the height"),
+        ("inspect DJI_0042.JPG --takeoff-height dem", "under the first exposure; give --dem."),
+        ("scene DJI_0042.JPG --takeoff-height dem -o s.toml", "under the first exposure; give --dem."),
+        ("inspect DJI_0042.JPG --dem dem.tif", "--dem is for --takeoff-height dem here; give that too"),
+        ("inspect DJI_0042.JPG --nodata 0", "--nodata needs --dem FILE."),
+        ("scene DJI_0042.JPG --dem-datum 0 -o s.toml", "--dem-datum 0 applies to --dem; leave it out."),
         (
             f"footprint {LOG} --dem-bounds -84.4,36.35,-84.3,36.4",
             "no height under the first exposure, exposure 0 of flight.csv",

@@ -18,6 +18,7 @@ from support.miaoli import FRAMES, UNDULATION, Village
 import jaxgeo
 from jaxgeo.cli import app
 from jaxgeo.cli._errors import interior_errors
+from jaxgeo.cli._locate_results import fixes_table
 from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84
 from jaxgeo.io import read_acquisition, with_usual_errors
@@ -153,6 +154,41 @@ def test_no_fix_at_all_is_told_with_the_reason(image: pathlib.Path) -> None:
     (line,) = [line for line in result.stderr.splitlines() if "no pixel has a fix" in line]
     assert "deg north" in line
     assert "km beside it" in line
+
+
+ROWS = [
+    {"name": f"{k}", "u": 1.0, "v": 2.0, "fix_lat_deg": 47.0, "fix_lon_deg": 11.0, "fix_height_m": 300.0}
+    | {"fix_height_msl_m": 250.0, "slant_range_m": 100.0, "incidence_surface_deg": 3.0, "status": "hit"}
+    for k in range(2)
+]
+TIMES = {
+    "one day": (
+        ["2024-05-10T10:20:31.500Z", "2024-05-10T10:20:32.000Z"],
+        "time, UTC",
+        "10:20:31.500",
+        "on 2024-05-10;",
+    ),
+    "two days": (
+        ["2024-05-10T23:59:59.500Z", "2024-05-11T00:00:00.000Z"],
+        "time, UTC",
+        "2024-05-10T23:59:59.500Z",
+        "on 2024-05-10 to 2024-05-11;",
+    ),
+    "seconds": ([3.5, 4.25], "time, s", "3.500", ""),
+    "one time": ([3.5, 3.5], "", "", ""),
+    "none": ([None, None], "", "", ""),
+}
+
+
+@pytest.mark.parametrize("times, header, cell, caption", TIMES.values(), ids=list(TIMES))
+def test_several_frames_have_their_times_in_the_table(times: list, header: str, cell: str, caption: str) -> None:
+    key = "time_utc" if isinstance(times[0], str) else "time_s"
+    table = fixes_table([row | {key: time} for row, time in zip(ROWS, times, strict=True)], None, 200)
+    assert table.columns.get("time", ("", ""))[0] == header
+    if header:
+        spec = table.columns["time"][1]
+        assert format(table.rows[0]["time"], spec) == cell
+        assert caption in table.caption
 
 
 WRONG = [

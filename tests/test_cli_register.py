@@ -148,7 +148,7 @@ def test_register(files, tmp_path: pathlib.Path) -> None:
     assert result.exit_code == 0, result.output
     assert names_in(folder) == {"scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png"}
     assert Outcome.registered.message in result.stdout
-    assert "jaxgeo: assumed: reference position sigma: 10 m" in result.stderr
+    assert "jaxgeo: assumed: Standard deviations: reference position 10 m" in result.stderr
     report = json.loads((folder / "report.json").read_text())
     assert report["registered"]
     assert report["assumed"]

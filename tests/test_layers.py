@@ -11,8 +11,8 @@ from support.numpy_in_jit import numpy_in_jitted_code
 # From the lowest layer up: packages (or single modules) of `jaxgeo`. A package imports only packages of lower layers.
 LAYERS = [
     (
-        "_typing _checks _compile _digest _elementary _export _numerics _record status least_squares _destination "
-        "_partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
+        "_typing _checks _compile _digest _elementary _export _keywords _numerics _record status least_squares "
+        "_destination _partial _interruption _program_cache _program_store _text_numbers _command _renamed _refusals "
         "_parallel _sweep _sweep_store batches _accelerator _blas_threads _native"
     ).split(),
     ["earth", "rotations"],
@@ -51,6 +51,7 @@ WITHIN_LAYER = {frozenset(pair) for pair in [("_typing", package) for package in
     frozenset({"_sweep", "_parallel"}),
     frozenset({"_record", "_checks"}),
     frozenset({"_record", "_export"}),
+    frozenset({"_record", "_keywords"}),
     frozenset({"_destination", "_partial"}),
     frozenset({"_partial", "_interruption"}),
     frozenset({"earth", "rotations"}),

@@ -103,6 +103,31 @@ def test_a_dark_screen_gets_a_dark_page_and_light_comes_back(browser, page_file:
             assert (labels.max() > 150) if is_dark else (labels.min() < 100)
 
 
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_the_image_is_beside_the_map_with_its_pixel(browser, subject: ReportData, tmp_path, size) -> None:
+    """On a desk to the right of it, on a phone below; the mark lies on its pixel, light and dark; nothing overflows."""
+    file = tmp_path / "image.png"
+    Image.new("RGB", (2400, 4800), (40, 90, 160)).save(file)
+    path = tmp_path / "report.html"
+    write_report(path, subject, header=ReportHeader(notice="CE90 is assumed."), images={0: file, 1: file})
+    with opened(browser, path, size) as page:
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert page.locator(".chip").count() == 1, "the second pixel is outside the image"
+            photo, mark, chart = (page.locator(one).bounding_box() for one in (".photo", ".mark", "#chart-map"))
+            assert abs(photo["width"] - photo["height"]) < 1.0
+            assert abs(mark["x"] + 0.5 * mark["width"] - photo["x"] - 0.5 * photo["width"]) < 2.0
+            assert abs(mark["y"] + 0.5 * mark["height"] - photo["y"] - 0.5 * photo["height"]) < 2.0
+            is_beside = photo["x"] >= chart["x"] + chart["width"]
+            is_below = photo["y"] >= chart["y"] + chart["height"]
+            assert is_beside == (size[0] > 860)
+            assert is_below != is_beside
+            assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+            seen = picture(page, ".photo")
+            np.testing.assert_allclose(seen[5, 5], [40, 90, 160], atol=6)
+            assert page.locator(".notice").is_visible()
+
+
 def picture(page, selector: str) -> np.ndarray:
     """What is seen of an element, (rows, cols, 3)."""
     page.locator(selector).scroll_into_view_if_needed()

@@ -14,9 +14,9 @@ import jaxgeo
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import as_datum, numbers_in
-from jaxgeo.cli._option_names import reason_not_read, translate_reader_errors
+from jaxgeo.cli._option_names import as_typed, reason_not_read, translate_reader_errors
 from jaxgeo.cli._options import READING, OptionGroup
-from jaxgeo.cli._screen import print_message, progress_bar, working
+from jaxgeo.cli._screen import print_message, print_note, progress_bar, working
 
 if TYPE_CHECKING:
     import jaxgeo.io.acquisitions
@@ -53,7 +53,8 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--source-crs",
             metavar="CRS",
-            help='CRS of the file\'s positions, if they are projected: "EPSG:32651". COLMAP, MicMac, Pix4D: also '
+            help='CRS of the file\'s positions, if they are projected: "EPSG:32651", or a .prj file (default: '
+            "the .prj beside a table). COLMAP, MicMac, Pix4D: also "
             '"EPSG:4978" or "enu:LAT,LON,HEIGHT".',
         ),
     ] = None
@@ -149,6 +150,8 @@ class ReadingOptions(OptionGroup):
             if any(one != int(one) or one < 1 for one in size):
                 raise UserError(f"--image-size {self.image_size!r}: expected WIDTH,HEIGHT, two whole numbers.")
             how["image_size"] = int(size[0]), int(size[1])
+        if self.crs is not None and self.crs.lower().endswith(".prj"):
+            how["crs"], _ = _of_prj(self.crs)
         return {name: value for name, value in how.items() if value is not None}
 
     @property
@@ -156,7 +159,24 @@ class ReadingOptions(OptionGroup):
         """`arguments` for a reader. Raises `UserError` for a take-off on an elevation model, which no reader has."""
         if self.takeoff_height == TAKEOFF_ON_DEM:
             raise UserError("--takeoff-height dem is for commands with --dem; give the height of the take-off in m.")
-        return self.arguments
+        arguments = self.arguments
+        if self.crs is not None and arguments["crs"] != self.crs:
+            print_note(f"--source-crs {self.crs}: {_of_prj(self.crs)[1]}.")
+        return arguments
+
+
+def _of_prj(path: str) -> tuple[str, str]:
+    """(the CRS of a .prj file as text, its name). Raises `UserError`."""
+    from jaxgeo.io._prj import name_of, read_prj, text_of
+    from jaxgeo.io.errors import TableError
+
+    try:
+        found = read_prj(path)
+    except FileNotFoundError as error:
+        raise UserError(f"--source-crs {path}: there is no such file.") from error
+    except TableError as error:
+        raise UserError(f"--source-crs {as_typed(f'{error}')}") from error
+    return text_of(found), name_of(found)
 
 
 def _takeoff(text: str) -> float | str:

@@ -131,9 +131,12 @@ class ControlOptions(OptionGroup):
         if self.gcp is None or self.gcp_datum is None:
             return None
         try:
-            return read_check_points(self.gcp, height_datum=as_datum(self.gcp_datum), pixel_origin=self.pixel_origin)
+            found = read_check_points(self.gcp, height_datum=as_datum(self.gcp_datum), pixel_origin=self.pixel_origin)
         except VerticalDatumError as error:
             raise UserError(f"{error}".replace("height_datum=", "--gcp-datum ")) from error
+        for one in found.unread:
+            print_note(f"{self.gcp}: {one}")
+        return found
 
     def control(self, surveyed: SurveyedPixels, views: Views, assumed: list[str]) -> Control:
         """Control of these images. Assumptions are printed and appended. Raises `UserError` if it does not belong to

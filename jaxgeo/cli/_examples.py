@@ -42,6 +42,7 @@ EXAMPLES = {
     "point": (
         f"jaxgeo point {SCENE} --target 36.31,-84.25",
         "jaxgeo point --scene scene.toml --line-of-sight 250,18.5",
+        "jaxgeo point --scene scene.toml --position 36.318,-84.105,5500 --attitude 160 --target 36.31,-84.25,900",
     ),
     "overlap": (
         f"jaxgeo overlap {SCENE} --navigation flight.csv --times 101,103,107",

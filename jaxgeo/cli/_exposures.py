@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import typer
 
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import single
 from jaxgeo.cli._option_names import as_typed, reason_not_read, typed
 from jaxgeo.cli._options import ExposureFiles, ExposureNames, OptionGroup, SceneOfFiles
-from jaxgeo.cli._screen import print_note
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Shot
 
@@ -121,9 +121,8 @@ class ExposureOptions(OptionGroup):
             observed = read_observations(
                 files, scene=self.scene, exposures=self.names or (), progress=progress, **reading.known_arguments
             )
-        for one in map(as_typed, observed.assumed):
-            if not any(word in one for word in OF_ERRORS):
-                print_note(f"assumed: {one}")
+        assumed = map(as_typed, observed.assumed)
+        print_assumed([one for one in assumed if not any(word in one for word in OF_ERRORS)])
         print_unread(observed.unread.values())
         return observed
 

@@ -14,7 +14,7 @@ from jaxgeo.cli._archive_dem import Look, fetch, is_archive
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._option_names import gap_as_typed, translate_dem_errors
 from jaxgeo.cli._options import DemOptions
-from jaxgeo.cli._screen import working
+from jaxgeo.cli._screen import print_note, working
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Shot, Trajectory
 from jaxgeo.terrain import Dem
 
@@ -177,13 +177,17 @@ def trajectory_of(
     Raises `UserError` if the scene has none either.
     """
     from jaxgeo.io import read_navigation
-    from jaxgeo.io._csv import gimbal_columns, read_csv
+    from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns, read_csv
+    from jaxgeo.io._unread_columns import unread_columns
     from jaxgeo.io.errors import TableError
+    from jaxgeo.io.navigation import TIME, VELOCITY
     from jaxgeo.io.observation_reader import height_datum_of
 
     names = scene.sensor.gimbal.names
     columns = list(gimbal_columns(names))
     header = read_csv(table, "file of navigation records", ()).header
+    for one in unread_columns(header, {*TIME, *POSE_COLUMNS, *VELOCITY, *columns}):
+        print_note(f"{table}: {one}")
     held = None
     if columns and not set(columns) & set(header):
         if scene.shot is None:

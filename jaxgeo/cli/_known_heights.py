@@ -6,16 +6,17 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
+import typer
 
 from jaxgeo._checks import enable_x64
 from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, ReadingOptions, reading_files
 from jaxgeo.cli._archive_dem import is_archive
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._inputs import open_terrain, read_terrain
-from jaxgeo.cli._options import DemOptions
+from jaxgeo.cli._inputs import check_goes_with_dem, open_terrain, read_terrain
+from jaxgeo.cli._options import READING, DemOptions
 from jaxgeo.cli._screen import print_note
 
 if TYPE_CHECKING:
@@ -23,6 +24,37 @@ if TYPE_CHECKING:
 
 UNSTATED = "does not state the vertical datum of its heights"  # of a `VerticalDatumError`
 BESIDE = 2e-3  # deg of latitude: ground that is read around the first exposure, about 200 m
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TakeoffOptions(DemOptions):
+    """The elevation model of `--takeoff-height dem`, for commands that need no other ground."""
+
+    first: ClassVar[tuple[str, ...]] = ("dem",)
+
+    dem: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--dem",
+            metavar="FILE",
+            help="Elevation model for --takeoff-height dem: a file, an archive (copernicus, ...), or a URL with "
+            "--allow-remote; repeatable for tiles.",
+            rich_help_panel=READING,
+        ),
+    ] = None
+
+    def known(
+        self, reading: ReadingOptions, files: Sequence[pathlib.Path], scene: pathlib.Path | None = None
+    ) -> ReadingOptions:
+        """As `with_known_heights`. Raises `UserError`, also for an elevation model without such a take-off."""
+        if reading.takeoff_height == TAKEOFF_ON_DEM:
+            return with_known_heights(reading, files, scene, self.dem or [], self)
+        if self.dem:
+            raise UserError("--dem is for --takeoff-height dem here; give that too, or leave --dem out.")
+        check_goes_with_dem(self)
+        if self.vertical_datum is not None:
+            raise UserError(f"--dem-datum {self.vertical_datum} applies to --dem; leave it out.")
+        return reading
 
 
 def with_known_heights(

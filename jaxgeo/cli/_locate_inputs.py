@@ -15,13 +15,14 @@ from jaxgeo._destination import check_no_input
 from jaxgeo._refusals import is_refusal
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._acquisitions import print_unread, reading_files
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
-from jaxgeo.cli._screen import print_message, print_note
+from jaxgeo.cli._screen import print_message
 from jaxgeo.earth import Atmosphere
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
@@ -90,8 +91,7 @@ def read_inputs(
     if output is not None:
         check_no_input("--output", [output], options.input_files)
     inputs = inputs_of(options, with_errors, check, on_disk=on_disk, whole=whole)
-    for one in inputs.assumed:
-        print_note(f"assumed: {one}")
+    print_assumed(inputs.assumed)
     _print_pixels_outside(options.pixels, inputs.observed)
     print_unread(inputs.observed.unread.values())
     return inputs

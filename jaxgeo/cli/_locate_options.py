@@ -85,6 +85,10 @@ NO_GROUND = (
     "--ground HEIGHT, level ground at a height in m."
 )
 
+NO_GROUND_OF_PIXELS = (
+    f"{NO_GROUND.removesuffix('.')}; or --ground reported, the height of the frame centre that telemetry reports."
+)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GroundOptions(DemOptions):
@@ -221,7 +225,7 @@ class LocateOptions:
         if ground.dem and ground.level is not None:
             raise UserError("--dem and --ground exclude each other: give one of them.")
         if not ground.dem and ground.level is None:
-            raise UserError(NO_GROUND)
+            raise UserError(NO_GROUND_OF_PIXELS)
         if not ground.dem:
             check_goes_with_dem(ground)
         if given.exposures and self.is_scene:

@@ -31,7 +31,13 @@ if TYPE_CHECKING:
     from jaxgeo.io.detected import DetectedOutlines
 
 WIDE = 120  # terminal width, characters, from which all columns are shown
-SPARED = ("incidence_surface_deg", "slant_range_m", "fix_height_msl_m", "accuracy_method")  # first, without room
+SPARED = (
+    "incidence_surface_deg",
+    "slant_range_m",
+    "fix_height_msl_m",
+    "accuracy_method",
+    "time",
+)  # first, without room
 
 
 def locate_inputs(inputs: LocateInputs, probability: float) -> tuple[Fix, Accuracy | None]:
@@ -90,6 +96,9 @@ def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width
     columns: dict[str, tuple[str, str]] = {}
     if "name" in first:
         columns["name"] = ("name", "")
+    times, day = _times_of(rows)
+    if times:
+        columns["time"] = ("time, UTC" if day else "time, s", "" if day else ".3f")
     if "label" in first:
         columns["label"] = ("label", "")
     pixels = {(row["u"], row["v"]) for row in rows}
@@ -109,18 +118,34 @@ def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width
         columns |= {f"ce{column}_m": (f"CE{percent}", ".2f"), f"le{column}_m": (f"LE{percent}", ".2f")}
         columns |= {"accuracy_method": ("by", "")} if is_wide else {}
     columns["status"] = ("status", "")
+    rows = [row | {"time": time} for row, time in zip(rows, times or [None] * len(rows), strict=True)]
     shown = [{name: _plain(row.get(name), spec) for name, (_, spec) in columns.items()} for row in rows]
     for name in SPARED:
         if not number_table(shown, columns).fits(width):
             columns.pop(name, None)
-    return number_table(shown, columns, _caption(columns, probability))
+    return number_table(shown, columns, _caption(columns, probability, day))
 
 
-def _caption(columns: Container[str], probability: float | None) -> str:
+def _times_of(rows: Sequence[dict[str, Any]]) -> tuple[list[Any], str]:
+    """(time of each row, their day, or days) for fixes at several times: in UTC as text, else in s without a day; ([],
+    "") for others."""
+    utc = [row.get("time_utc") for row in rows]
+    if len(set(utc)) > 1 and all(isinstance(one, str) for one in utc):
+        days = sorted({f"{one}"[:10] for one in utc})
+        return [f"{one}"[11:].removesuffix("Z") if len(days) == 1 else f"{one}" for one in utc], " to ".join(
+            dict.fromkeys((days[0], days[-1]))
+        )
+    seconds = [row.get("time_s") for row in rows]
+    return (seconds, "") if len(set(seconds)) > 1 else ([], "")
+
+
+def _caption(columns: Container[str], probability: float | None, day: str = "") -> str:
     """Units and datums of the columns of a table of fixes."""
+    of_time = [f"time: on {day}"] if day and "time" in columns else []
     words = ["height: m above WGS 84"]
     if "fix_height_msl_m" in columns:
         words = ["height, msl: m above WGS 84 and EGM96 mean sea level"]
+    words = [*of_time, *words]
     words += ["range: slant range, m"] if "slant_range_m" in columns else []
     words += ["inc.: incidence angle, deg"] if "incidence_surface_deg" in columns else []
     if probability is not None:

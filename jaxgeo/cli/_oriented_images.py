@@ -5,21 +5,24 @@ from __future__ import annotations
 import dataclasses
 import pathlib
 import re
+import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import jaxgeo
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import shot_of
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._option_names import as_typed, typed
 from jaxgeo.cli._options import DemOptions
-from jaxgeo.cli._screen import print_note
 from jaxgeo.observation import Exposure
 
 if TYPE_CHECKING:
     from jaxgeo.io import Observations
 
+MOST_NAMED = 3  # images named in a message
 NO_IMAGES = ("MISB", "subtitle", "video", "flight log", "SBET", "scene")  # kinds of files that name no images
 
 
@@ -47,8 +50,8 @@ class OrientedImages:
         """Raises `UserError` for options that contradict each other, and for wrong values."""
         given = self.reading.arguments
         if self.scene is None:
-            if self.folder is not None and not self.folder.is_dir():
-                raise UserError(f"--images {self.folder}: there is no such folder.")
+            if self.folder is not None:
+                check_is_folder(self.folder)
             self._check_kinds()
             return
         if len(self.files) > 1 or self.files[0].is_dir():
@@ -107,9 +110,8 @@ class OrientedImages:
                 observed = read_observations(self.files, progress=progress, **self.reading.known_arguments)
         except UserError as error:  # here a scene is not for a file without a camera
             raise UserError(re.sub(r"--scene SCENE\.toml(, or )?", "", f"{error}")) from error
-        for one in map(as_typed, observed.assumed):
-            if "error" not in one and "sigma" not in one:  # which orthoimages do not have
-                print_note(f"assumed: {one}")
+        assumed = map(as_typed, observed.assumed)
+        print_assumed([one for one in assumed if "error" not in one and "sigma" not in one])  # orthoimages have none
         print_unread(observed.unread.values())
         return observed, self._files_of(observed)
 
@@ -119,8 +121,7 @@ class OrientedImages:
 
         names = [str(row.get("name")) for row in observed.columns]
         if self.folder is not None:
-            by_stem = images_in(self.folder)
-            return [image_named(self.folder, name, by_stem) for name in names]
+            return images_named(self.folder, names, observed.source)
         each = [pathlib.Path(one) for one in files_of(self.files)[0]]
         by_name = {one.name: one for one in each} | {f"{one}": one for one in each}
         unknown = next((name for name in names if name not in by_name), None)
@@ -130,6 +131,58 @@ class OrientedImages:
                 f"with --images FOLDER."
             )
         return [by_name[name] for name in names]
+
+
+def check_is_folder(folder: pathlib.Path) -> None:
+    """Raises `UserError` if the folder of --images does not exist or is a file."""
+    if folder.is_dir():
+        return
+    if folder.exists():
+        raise UserError(f"--images {folder}: this is a file; give the folder of the images: {_typed(folder.parent)}")
+    near = next((one for one in folder.absolute().parents if one.is_dir()), None)
+    raise UserError(
+        f"--images {folder}: there is no such folder; of its path, {near} exists. Give the folder of the images."
+    )
+
+
+def images_named(folder: pathlib.Path, names: Sequence[str], source: str) -> list[pathlib.Path]:
+    """The file in the folder of --images of each name in `source`. Raises `UserError` if none of them is there."""
+    by_stem = images_in(folder)
+    found = [image_named(folder, name, by_stem) for name in names]
+    if any(one.is_file() for one in found):
+        return found
+    sought = f"{source} names {_some(names)}"
+    below = _folder_below(folder, names)
+    if below is not None:
+        raise UserError(f"--images {folder}: {sought}; give the folder below it that has them: {_typed(below)}")
+    if not by_stem:
+        from jaxgeo.io.observation_reader import IMAGE_ENDINGS
+
+        kinds = ", ".join(IMAGE_ENDINGS)
+        raise UserError(f"--images {folder}: there is no image ({kinds}) in this folder; {sought}. Give their folder.")
+    present = _some([one.name for each in by_stem.values() for one in each])
+    raise UserError(
+        f"--images {folder}: none of the images is there: {sought}, the folder has {present}. Give the folder of the "
+        f"images that {source} names, under the names that it has."
+    )
+
+
+def _typed(folder: pathlib.Path) -> str:
+    return f"--images {shlex.quote(str(folder))}"
+
+
+def _folder_below(folder: pathlib.Path, names: Sequence[str]) -> pathlib.Path | None:
+    """A folder in the given one that has the first image."""
+    for one in sorted(folder.iterdir()):
+        if one.is_dir() and image_named(one, names[0], images_in(one)).is_file():
+            return one
+    return None
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    shown = ", ".join(names[:MOST_NAMED])
+    return shown if len(names) <= MOST_NAMED else f"{shown} and {len(names) - MOST_NAMED} more"
 
 
 def images_in(folder: pathlib.Path) -> dict[str, list[pathlib.Path]]:

@@ -13,11 +13,11 @@ from jaxgeo.cli._common import FAULT, NO_ANSWER, UserError
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import open_terrain
-from jaxgeo.cli._option_names import translate_cell_errors
+from jaxgeo.cli._option_names import as_typed, translate_cell_errors
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._results import print_json
-from jaxgeo.cli._screen import print_counts, print_message
+from jaxgeo.cli._screen import print_counts, print_message, print_written
 from jaxgeo.status import Status
 
 SHOWN = "Its orthophoto is written."
@@ -62,6 +62,7 @@ def rectify_several(
         run = rectify_frames(folder, files, observed, terrain, client=client, progress=many.shows_progress, **wishes)
     seconds, counts = time.perf_counter() - began, statuses_of(run)
     print_missing(run)
+    print_written(folder)
     without = _without_orthophoto(run)
     for one in [one for one in without if one["row"] not in observed.unread][:MOST_TOLD]:
         print_message(f"{one['image']}: {one['reason']}")
@@ -77,7 +78,9 @@ def rectify_several(
     else:
         told = {"folder": f"{folder}", "parts": list(run.parts), "computed": run.computed, "images_by_status": counts}
         told |= {"without_orthophoto": without}
-        print_json("rectify", {"inputs": inputs, "assumed": list(observed.assumed), **told, "seconds": seconds})
+        print_json(
+            "rectify", {"inputs": inputs, "assumed": list(map(as_typed, observed.assumed)), **told, "seconds": seconds}
+        )
     print_counts(counts, len(observed), "image", SHOWN)
     if any(not is_refusal(one.error) for one in observed.unread.values()):
         raise typer.Exit(FAULT)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import dataclasses
+import pathlib
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
@@ -14,10 +15,11 @@ from rich import box
 from rich.cells import cell_len
 from rich.console import Console as AnyConsole
 from rich.console import ConsoleOptions
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from jaxgeo._destination import is_device
 from jaxgeo.cli._console import Console
 
 Item = TypeVar("Item")
@@ -34,6 +36,13 @@ def print_note(message: str) -> None:
     """`print_message` of what is not an error; nothing with --quiet."""
     if not _quiet.get():
         print_message(message)
+
+
+def print_written(*places: Any) -> None:
+    """Print a note for each file or folder that was written; not for the screen and for devices."""
+    for place in places:
+        if place is not None and not is_device(pathlib.Path(place)):
+            print_note(f"written: {place}")
 
 
 def set_quiet(is_quiet: bool) -> None:
@@ -84,7 +93,13 @@ def track(items: Sequence[Item], words: str) -> Iterator[Item]:
 def progress_bar() -> Progress:
     """A transient progress bar on stderr, disabled if that is no terminal."""
     console = stderr()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or is_quiet())
 
 

@@ -23,7 +23,7 @@ from jaxgeo.cli._map_cells import MapCells
 from jaxgeo.cli._option_names import translate_cell_errors
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import bars_on_stderr, print_counts, print_message
+from jaxgeo.cli._screen import bars_on_stderr, print_counts, print_message, print_written
 from jaxgeo.status import Status
 
 SEEN_CELL = "The image shows it; its accuracy is unknown where samples are needed and none are drawn."
@@ -133,6 +133,7 @@ def accuracy_map_command(
             print_json("accuracy-map", {"inputs": given | options.inputs, "assumed": assumed, **told})
         else:
             Console(soft_wrap=True).print(_summary(told, probability), highlight=False, markup=False)
+        print_written(output)
         print_counts(told["cells_by_status"], sum(told["cells_by_status"].values()), "cell", SEEN_CELL)
         if not told["cells_with_accuracy"]:
             print_message("no cell has an accuracy.")

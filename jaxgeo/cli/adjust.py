@@ -26,6 +26,7 @@ from jaxgeo.cli._adjust_outputs import (
     write_files,
     write_page,
 )
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
@@ -33,7 +34,7 @@ from jaxgeo.cli._option_names import as_typed, translate_reach_errors
 from jaxgeo.cli._options import WRITING, DemFiles, DemOptions
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_note, progress_bar, working
+from jaxgeo.cli._screen import print_note, print_written, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
@@ -148,9 +149,8 @@ def adjust_command(
                 read = partial(_image, paths, reading_dem)
                 of_map = registered_to(views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach)
                 more["registrations"] = of_map.outcomes
-                for one in of_map.assumed:
-                    block.assumed.append(one)
-                    print_note(f"assumed: {one}")
+                block.assumed.extend(of_map.assumed)
+                print_assumed(of_map.assumed)
             with working("adjusting"):
                 unknowns = _interior(views, block.errors) if self_calibrate else None
                 found = _corrected(views, ties, unknowns, control, None if of_map is None else of_map.control)
@@ -162,6 +162,7 @@ def adjust_command(
             if of_mosaic.mosaic is not None:
                 more["mosaic"] = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
                 written.append(more["mosaic"]["file"])
+        print_written(*([output] if written else []), of_mosaic.mosaic if found is not None else None)
         content = content_of(views, ties, found, written, time.perf_counter() - began) | more
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": block.assumed, **content})
@@ -230,9 +231,7 @@ def _read(given: OrientedImages) -> Block:
 
     observed, paths = given.read()
     assumed = [as_typed(one) for one in observed.assumed]
-    for one in assumed:
-        if "sigma" in one:
-            print_note(f"assumed: {one}")
+    print_assumed([one for one in assumed if "sigma" in one])
     rows = _without_copies(observed.read_rows.tolist(), paths)
     if len(rows) < 2:
         raise UserError(f"{observed.source}: adjust needs two images or more with positions; got {len(rows)}.")

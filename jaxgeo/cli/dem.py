@@ -194,7 +194,8 @@ def _fetch(
 
         with working("writing the elevation model"), translate_dem_errors():
             rows, cols = write_dem(output, found)
-        said = f"{output}: {rows} x {cols} posts, {said.rpartition(', heights')[0]}, heights above the WGS 84 ellipsoid"
+        where = said.rpartition(", heights")[0]
+        said = f"written: {output}: {rows} x {cols} posts, {where}, heights above the WGS 84 ellipsoid"
         told = {"output": f"{output}", "shape": [rows, cols]}
     print_note(said)
     return told

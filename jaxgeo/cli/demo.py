@@ -14,7 +14,7 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import fix_table, print_counts, print_message, working
+from jaxgeo.cli._screen import fix_table, print_counts, print_message, print_written, working
 
 FIGURE = pathlib.Path("jaxgeo-demo.png")
 PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # written by matplotlib itself
@@ -69,8 +69,7 @@ def _demo(output: pathlib.Path, wanted: dict[str, pathlib.Path], inputs: dict[st
         if picture is None:
             raise typer.Exit(NO_ANSWER)
         picture.write(made, stream, picture_format)
-    if inputs is None:
-        Console().print(f"figure: {output}", highlight=False, soft_wrap=True)
+    print_written(output)
 
 
 def _picture_format(output: pathlib.Path) -> str:
@@ -104,6 +103,7 @@ def _write_files(wanted: dict[str, pathlib.Path]) -> None:
     for option, path in wanted.items():
         with destination(option, path, binary=True) as stream:
             stream.write(_sources()[option].read_bytes())
+        print_written(path)
 
 
 def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any, Any]:

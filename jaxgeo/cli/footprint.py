@@ -21,7 +21,7 @@ from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import number_table, print_counts, print_note, track
+from jaxgeo.cli._screen import number_table, print_counts, print_written, track
 
 HIT = "hit"  # the status of a whole footprint
 ENDINGS = (".geojson", ".json", ".gpkg")
@@ -29,6 +29,8 @@ COLUMNS = {
     "shot": ("shot", "d"),
     "name": ("image", ""),
     "area_km2": ("area, km2", ".3f"),
+    "covered_area_km2": ("partial, km2", ".3f"),
+    "covered_share": ("of image", ".1%"),
     "hidden_m": ("hidden, m", ".1f"),
     "columns_m": ("columns", ".3f"),
     "rows_m": ("rows", ".3f"),
@@ -36,6 +38,10 @@ COLUMNS = {
     "across_m": ("across", ".3f"),
     "status": ("status", ""),
 }
+PARTIAL = (
+    "partial: area of the part of the image that sees known ground, where the footprint is incomplete; of image: its "
+    "share of the image; "
+)
 CAPTION = (
     "hidden: length of the outline over ground hidden by terrain; columns, rows, along, across: GSD (m) per column, "
     "per row, along and across the line of sight, at the image centre"
@@ -115,7 +121,7 @@ def _footprint(
         rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
         write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
-        print_note(f"written: {output}")
+        print_written(output)
     return found, rows, outlines
 
 
@@ -133,8 +139,11 @@ def _show(
         print_json("footprint", {"inputs": inputs, "footprints": content, "unread": exposures.unread})
         return
     other = "shot" if exposures.are_named else "name"
-    columns = {name: column for name, column in COLUMNS.items() if name != other}
-    Console(width=None if Console().is_terminal else 160).print(number_table(rows, columns, CAPTION))
+    is_partial = any(row["covered_share"] is not None for row in rows)
+    left_out = {other} if is_partial else {other, "covered_area_km2", "covered_share"}
+    columns = {name: column for name, column in COLUMNS.items() if name not in left_out}
+    caption = f"{PARTIAL}{CAPTION}" if is_partial else CAPTION
+    Console(width=None if Console().is_terminal else 160).print(number_table(rows, columns, caption))
 
 
 def _places(outline: Any) -> list[dict[str, Any]]:
@@ -152,7 +161,7 @@ def _places(outline: Any) -> list[dict[str, Any]]:
 
 def _footprint_of(one: GivenExposure, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
     """(footprint of an exposure, its table row)."""
-    from jaxgeo.coverage import footprint, ground_sample_distance
+    from jaxgeo.coverage import covered_part, footprint, ground_sample_distance
     from jaxgeo.io.observations import frame_camera_of
     from jaxgeo.status import Status
 
@@ -162,7 +171,11 @@ def _footprint_of(one: GivenExposure, terrain: Any, tolerance: float) -> tuple[A
     pixel = ground_sample_distance(one.sensor, one.shot, middle, terrain, atmosphere=air)
     sizes = {f"{name}_m": _known(getattr(pixel, name)) for name in ("columns", "rows", "along", "across")}
     area = _known(1e-6 * outline.area)
-    row = {"area_km2": area, "hidden_m": _known(outline.hidden_length), **sizes}
+    row = {"area_km2": area, "covered_area_km2": None, "covered_share": None}
+    if not outline.ok:
+        part = covered_part(one.sensor, one.shot, terrain, atmosphere=air, projection=outline.projection)
+        row |= {"covered_area_km2": 1e-6 * part.area, "covered_share": part.share} if part.share else {}
+    row |= {"hidden_m": _known(outline.hidden_length), **sizes}
     return outline, {**row, "status": Status(int(outline.status)).name}
 
 

@@ -19,9 +19,10 @@ from jaxgeo.cli._common import FAULT, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposure_tables import centre_pixels, rows_of, tags_of
 from jaxgeo.cli._inputs import check_no_overwrite
+from jaxgeo.cli._known_heights import TakeoffOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import number_table
+from jaxgeo.cli._screen import number_table, print_written
 
 SHOWN = 5  # exposures printed
 TRACKS = (".gpx", ".kml")
@@ -38,6 +39,7 @@ def inspect_command(
         typer.Argument(metavar="FILE", help="Drone images or folders, KLV, SBET, table, reconstruction, scene."),
     ],
     reading: ReadingOptions = ReadingOptions(),
+    of_takeoff: TakeoffOptions = TakeoffOptions(),
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -68,7 +70,7 @@ def inspect_command(
         if tags and not as_json:
             raise UserError("--tags needs --json.")
         enable_x64()
-        found, unstated = _read(files, reading.known_arguments)
+        found, unstated = _read(files, of_takeoff.known(reading, files).known_arguments)
         rows = rows_of(found)
         if output is not None:
             if unstated is not None:
@@ -79,6 +81,7 @@ def inspect_command(
                 write_track(output, found)
             else:
                 _write(output, found, rows)
+            print_written(output)
         print_unread(found.unread)
         if as_json:
             print_json("inspect", {"inputs": inputs, **_content(files, found, rows, unstated, tags)})
@@ -137,8 +140,9 @@ def _content(
         for one in found.parts
     ]
     first = {name: value for name, value in parts[0].items() if name != "count"}
-    content = {"file": _named(files, found), **first, "parts": parts, "assumed": list(found.assumed)}
-    content |= {"height_datum_unstated": unstated, "time_is_utc": all(one.time_is_utc for one in found.parts)}
+    content = {"file": _named(files, found), **first, "parts": parts, "assumed": list(map(as_typed, found.assumed))}
+    content |= {"height_datum_unstated": None if unstated is None else as_typed(unstated)}
+    content |= {"time_is_utc": all(one.time_is_utc for one in found.parts)}
     content |= {"exposures": rows, "unread": [_unread(one) for one in found.unread]}
     return content | ({"tags": tags_of(found)} if tags else {})
 

@@ -16,6 +16,7 @@ import typer
 import jaxgeo
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._assumed import assumed_shares, told_shares
 from jaxgeo.cli._cluster import PartsOptions, print_missing, report_failed_parts
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -27,7 +28,7 @@ from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixe
 from jaxgeo.cli._option_names import reason_not_read
 from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, print_message, print_note
+from jaxgeo.cli._screen import print_counts, print_message, print_note, print_written
 from jaxgeo.status import Status, counts_as_fix
 
 STYLED = (".gpkg", ".geojson", ".json")
@@ -170,6 +171,7 @@ def _locate_all(
     check = functools.partial(_check_file, writing, probability) if writing.is_file else None
     inputs = read_inputs(options, accuracy, writing.output, check)
     fixes, found = locate_inputs(inputs, probability)
+    shares = _told_shares(inputs, found, probability)
     rows = inputs.observed.table(fixes, found, reasons=inputs.reasons)
     outlines = outlines_of(inputs)
     extra = [{} for _ in rows] if outlines is None else [{"outline_status": one} for one in outlines.statuses]
@@ -188,13 +190,14 @@ def _locate_all(
             style=writing.style,
             **writing.drawn,
         )
-        print_note(f"written: {writing.output}")
+        print_written(writing.output)
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:
         if outlines is not None:
             each = zip(rows, extra, outlines.rings, strict=True)
             rows = [row | more | {"outline": None if ring is None else ring.tolist()} for row, more, ring in each]
-        print_json("locate", {"inputs": options.inputs, "assumed": inputs.assumed, "fixes": rows})
+        more = {"assumed": inputs.assumed, "assumed_variance_shares": shares}
+        print_json("locate", {"inputs": options.inputs, **more, "fixes": rows})
     exit_without_fix(inputs, fixes)
 
 
@@ -226,6 +229,7 @@ def _locate_on_cluster(
         )
     counts = statuses_of(run)
     print_missing(run)
+    print_written(folder)
     print_counts(counts, len(observed))
     if as_json:
         print_json(
@@ -253,6 +257,7 @@ def _locate_rows(options: LocateOptions, accuracy: bool | None, probability: flo
         fixes = found = None
         if chosen is Format.table or inputs.has_errors or not inputs.observed.batches[0].is_one_camera:
             fixes, found = locate_inputs(inputs, probability)
+            _told_shares(inputs, found, probability)
             rows = inputs.observed.table(fixes, found, reasons=inputs.reasons)
             counts.update(row["status"] for row in rows)
         else:
@@ -263,12 +268,20 @@ def _locate_rows(options: LocateOptions, accuracy: bool | None, probability: flo
             print_counts(counts, len(inputs.observed))
         _write_rows(rows, inputs, None if found is None else probability, chosen, stream)
         stream.flush()
-    if writing.output is not None:
-        print_note(f"written: {writing.output}")
+    print_written(writing.output)
     if chosen is not Format.table:  # after the rows, not between them
         print_counts(counts, len(inputs.observed))
     if fixes is not None:
         exit_without_fix(inputs, fixes)
+
+
+def _told_shares(inputs: LocateInputs, found: jaxgeo.Accuracy | None, probability: float) -> dict[str, float]:
+    """Shares of assumed standard deviations in the horizontal variance, by option; printed if they are most of it."""
+    shares = assumed_shares(inputs, found)
+    said = told_shares(shares, probability, count=len(inputs.observed))
+    if said is not None:
+        print_note(said)
+    return shares
 
 
 def _start(options: LocateOptions) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -24,7 +25,7 @@ from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import number_table, print_counts, track
+from jaxgeo.cli._screen import number_table, print_counts, print_note, print_written, track
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
 COLUMNS = {
@@ -42,7 +43,8 @@ CAPTION = (
     "near, far, least: along-track overlap at near edge, far edge, minimum, as a share of the first image's length; "
     "side: cross-track overlap, as a share of its width; area: share of its area"
 )
-HIT, TURNED = "hit", "images_turned"
+HIT, TURNED, APART = "hit", "images_turned", "images_apart"
+MOST_NAMED = 5  # images named in the message on partial ground
 ANSWERS = HIT, TURNED
 BOTH = "Both footprints are complete and overlap."
 
@@ -96,12 +98,15 @@ def overlap_command(
                 _check_several(images, given)
             terrain = terrain_of(ground, lambda: images.exposures[0].shot, images.view)
             rows = _overlaps(images.exposures, terrain, None if along is None else along.value)
+            partial = _partial(rows, images.exposures, terrain)
             _count(rows)
+            _print_partial(partial)
             if output is not None or not as_json:
                 _write(rows, chosen, stream)
+        print_written(output)
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
-            print_json("overlap", {"inputs": inputs, "pairs": pairs, "unread": images.unread})
+            print_json("overlap", {"inputs": inputs, "pairs": pairs, "partial": partial, "unread": images.unread})
     if not any(row["status"] in ANSWERS for row in rows):
         raise typer.Exit(NO_ANSWER)
 
@@ -174,11 +179,55 @@ def _overlaps(images: Sequence[GivenExposure], terrain: Any, along: Any) -> list
     for before, after in track(list(itertools.pairwise(images)), "computing overlaps"):
         own = after.sensor if sensors_differ(before.sensor, after.sensor) else None
         how = {"along": along, "atmosphere": before.atmosphere, "sensor_after": own}
-        found: Any = overlap(before.sensor, before.shot, after.shot, terrain, **how)
+        with _as_options(before, after):
+            found: Any = overlap(before.sensor, before.shot, after.shot, terrain, **how)
         numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
         row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
         rows.append({"before": before.name, "after": after.name, **row, "status": Status(int(found.status)).name})
     return rows
+
+
+@contextlib.contextmanager
+def _as_options(before: GivenExposure, after: GivenExposure) -> Iterator[None]:
+    """Refusals of a pair with its names and command-line options. Raises `UserError`."""
+    try:
+        yield
+    except ValueError as error:
+        pair = f"{before.name} and {after.name}"
+        if "gives no direction of flight" in f"{error}":
+            message = f"{pair} are taken from one place, which gives no direction of flight: leave one of them out."
+            raise UserError(message) from error
+        if 'along="columns"' in f"{error}":
+            raise UserError(
+                f"{pair}: which axis of the image lies along the flight is not known; give --along columns or --along "
+                f"rows."
+            ) from error
+        raise
+
+
+def _partial(rows: list[dict[str, Any]], images: Sequence[GivenExposure], terrain: Any) -> dict[str, dict[str, float]]:
+    """By image of a pair without an overlap, the part of it that sees known ground, if that is not the whole."""
+    from jaxgeo.coverage import covered_part
+
+    pairs = zip(itertools.pairwise(images), rows, strict=True)
+    each = [one for pair, row in pairs if row["status"] not in (*ANSWERS, APART) for one in pair]
+    found: dict[str, dict[str, float]] = {}
+    for one in track(list({one.name: one for one in each}.values()), "computing the parts that see known ground"):
+        part = covered_part(one.sensor, one.shot, terrain, atmosphere=one.atmosphere)
+        if 0.0 < part.share < 1.0:
+            found[one.name] = {"covered_area_km2": 1e-6 * part.area, "covered_share": part.share}
+    return found
+
+
+def _print_partial(partial: dict[str, dict[str, float]]) -> None:
+    if not partial:
+        return
+    texts = [
+        f"{name} {100.0 * one['covered_share']:.3g} % ({one['covered_area_km2']:.3g} km2)"
+        for name, one in list(partial.items())[:MOST_NAMED]
+    ]
+    more = f", and {len(partial) - MOST_NAMED} more" if len(partial) > MOST_NAMED else ""
+    print_note(f"partial: share of the image that sees known ground, and its area: {', '.join(texts)}{more}.")
 
 
 def _count(rows: list[dict[str, Any]]) -> None:

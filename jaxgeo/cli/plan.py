@@ -21,7 +21,7 @@ from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
-from jaxgeo.cli._screen import is_quiet, print_counts, stderr, working
+from jaxgeo.cli._screen import is_quiet, print_counts, print_written, progress_bar, stderr
 from jaxgeo.cli.overlap import BOTH
 
 ALONG = 100  # times along a flight for whose images the ground is fetched
@@ -134,13 +134,19 @@ def _plan(
     sensor, flight = of_flight.sensor, of_flight.trajectory
     _check_count(wishes, flight, start)
     terrain = terrain_of(ground, lambda: flight.at(flight.start), lambda: _view(sensor, flight))
-    with working("compiling and planning"):
-        found = plan(
-            sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=of_flight.atmosphere
-        )
+    how_timed: dict[str, Any] = {"start": start, "along": along, "atmosphere": of_flight.atmosphere}
+    with progress_bar() as bar:
+        task = bar.add_task("compiling, planning", total=None)
+
+        def advance(done: float, total: float) -> None:
+            bar.update(task, completed=round(done), total=round(total), description="planning, s of the flight")
+
+        found = plan(sensor, flight, terrain, _timing(*wishes), progress=advance, **how_timed)
+        bar.update(task, description="computing overlaps")
         shots = jax.vmap(flight.at)(found.times)
     write_exposures(output, shots, sensor.gimbal.names, overlaps=found.overlaps)
-    _summarise(found, output)
+    print_written(output)
+    _summarise(found)
     return _exposures(shots, sensor.gimbal.names, found.overlaps)
 
 
@@ -184,7 +190,7 @@ def _timing(way: str, number: float | None, place: Place) -> Any:
     return VelocityHeight(number) if way == "velocity-height" else FixedPeriod(number)
 
 
-def _summarise(found: Any, output: pathlib.Path) -> None:
+def _summarise(found: Any) -> None:
     """Print the number of exposures and their overlap on stderr."""
     import numpy as np
 
@@ -196,7 +202,7 @@ def _summarise(found: Any, output: pathlib.Path) -> None:
     intervals = np.diff(times)
     console = stderr()
     said = [
-        f"{output}: {len(times)} exposures from {times[0]:.3f} to {times[-1]:.3f} s, "
+        f"{len(times)} exposures from {times[0]:.3f} to {times[-1]:.3f} s, "
         f"every {intervals.min():.3f} to {intervals.max():.3f} s"
     ]
     for place in ("near", "least"):

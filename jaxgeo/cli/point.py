@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._exposures import ExposureOptions
+from jaxgeo.cli._exposures import ExposureOptions, GivenExposure
 from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, numbers_in, read_terrain
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, stderr, working
-from jaxgeo.sensor import Shot
+from jaxgeo.earth import Geodetic
+from jaxgeo.sensor import Pose, Shot
 
 UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
 
@@ -29,6 +33,23 @@ def point_command(
             metavar="FILE",
             help="Elevation model, to check visibility: a file, an archive (copernicus, ...), or a URL with "
             "--allow-remote; repeatable for tiles.",
+        ),
+    ] = None,
+    position: Annotated[
+        str | None,
+        typer.Option(
+            "--position",
+            metavar="PLACE",
+            help="LAT,LON,HEIGHT of the aircraft, deg and m, instead of that of the scene or FILE; height above "
+            "--camera-datum (default: the scene's).",
+        ),
+    ] = None,
+    attitude: Annotated[
+        str | None,
+        typer.Option(
+            "--attitude",
+            metavar="ANGLES",
+            help="HEADING or HEADING,PITCH,ROLL of the aircraft, deg, instead of that of the scene or FILE.",
         ),
     ] = None,
     target: Annotated[
@@ -70,7 +91,8 @@ def point_command(
             check_goes_with_dem(reading)
             if reading.vertical_datum is not None:
                 raise UserError(f"--dem-datum {reading.vertical_datum} applies to --dem; leave it out.")
-        names, found, aim = _point((given, how), dem or [], reading, (target, line_of_sight, pixel), target_datum)
+        aims = (target, line_of_sight, pixel)
+        names, found, aim = _point((given, how), dem or [], reading, (position, attitude), aims, target_datum)
         code = _print_readings(names, found, UNHIDDEN if not dem else None, as_json)
         if as_json:
             meaning = UNHIDDEN if not dem else None
@@ -84,6 +106,7 @@ def _point(
     of: tuple[ExposureOptions, ReadingOptions],
     dem: list[str],
     reading: DemOptions,
+    stands: tuple[str | None, str | None],
     texts: tuple[str | None, str | None, str | None],
     target_datum: str | None,
 ) -> tuple[tuple[str, ...], Any, Any]:
@@ -103,7 +126,8 @@ def _point(
         raise UserError(f"--target-datum {target_datum} applies to a target height: --target LAT,LON,HEIGHT.")
     if target_datum is None and len(place) == 3 and not given.is_scene:
         raise UserError(f"--target {target}: say what its height is above, with --target-datum.")
-    given.check(how)
+    aircraft = _Aircraft.of(*stands)
+    given.check(dataclasses.replace(how, height_datum=None) if aircraft.is_of_scene(given) else how)
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
     from jaxgeo.coverage import point_gimbal
@@ -111,18 +135,23 @@ def _point(
 
     compile_quickly()
     enable_x64()
-    how = with_known_heights(how, given.files or [], given.scene, dem, reading)
-    found = given.read(how, "pointing").exposures
+    if aircraft.is_of_scene(given):
+        found = [aircraft.exposure(given, how.height_datum)]
+    else:
+        how = with_known_heights(how, given.files or [], given.scene, dem, reading)
+        found = given.read(how, "pointing without --position").exposures
     if len(found) != 1:
         raise UserError(
             f"{(given.files or [''])[0]} has {len(found)} exposures; name one with --exposure {found[0].name}."
         )
     (one,) = found
     sensor, shot = one.sensor, one.shot
+    assert isinstance(shot, Shot)
+    if not aircraft.is_of_scene(given):
+        shot = aircraft.moved(shot, None if how.height_datum is None else as_datum(how.height_datum))
     stated = None if target_datum is None else as_datum(target_datum)
     if given.scene_file is not None and stated is None:
         stated = read_scene(given.scene_file).height_datum
-    assert isinstance(shot, Shot)
     if not sensor.gimbal.names:
         raise UserError(f"{one.name}: a gimbal of kind 'fixed' has no readings to point with.")
     if pixel is not None and uv is not None:
@@ -132,6 +161,63 @@ def _point(
     with working("compiling and pointing"):
         pointed = point_gimbal(sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=one.atmosphere)
     return sensor.gimbal.names, pointed, aim
+
+
+@dataclasses.dataclass(frozen=True)
+class _Aircraft:
+    """Position (lat and lon in deg, height in m) and attitude (deg) of --position and --attitude, if given."""
+
+    position: list[float] | None
+    attitude: list[float] | None
+
+    @classmethod
+    def of(cls, position: str | None, attitude: str | None) -> _Aircraft:
+        """From the options as typed. Raises `UserError`."""
+        place = angles = None
+        if position is not None:
+            place = numbers_in("--position", position, (3,), "LAT,LON,HEIGHT, deg and m")
+            if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 360.0):
+                raise UserError(
+                    f"--position {position}: expected LAT,LON in deg, latitudes from -90 to 90; is it LON,LAT?"
+                )
+        if attitude is not None:
+            angles = numbers_in("--attitude", attitude, (1, 3), "HEADING or HEADING,PITCH,ROLL, deg")
+        return cls(place, None if angles is None else [*angles, 0.0, 0.0][:3])
+
+    def is_of_scene(self, given: ExposureOptions) -> bool:
+        """Whether a scene gives the sensor, and --position the place."""
+        return self.position is not None and given.is_scene and given.scene_file is not None
+
+    def exposure(self, given: ExposureOptions, datum: str | None) -> GivenExposure:
+        """The sensor of a scene at this position, with its attitude or level and to the north. Raises `UserError`."""
+        from jaxgeo.io.scene import read_scene
+
+        assert given.scene_file is not None
+        scene = read_scene(given.scene_file)
+        shot = scene.shot
+        if shot is None:
+            if self.attitude is None:
+                print_assumed(["The aircraft is level and heads north. (--attitude HEADING,PITCH,ROLL)"])
+            readings = [0.0] * len(scene.sensor.gimbal.names)
+            shot = Shot(Pose.from_degrees(lat=0.0, lon=0.0, height=0.0), np.asarray(readings))
+        stated = scene.height_datum if datum is None else as_datum(datum)
+        return GivenExposure(given.scene_file.name, scene.sensor, self.moved(shot, stated), scene.atmosphere)
+
+    def moved(self, shot: Shot, datum: str | float | None) -> Shot:
+        """A shot at this position and with this attitude. Raises `UserError`."""
+        from jaxgeo.io.scene import ellipsoidal_heights
+
+        pose = shot.pose
+        if self.position is not None:
+            lat, lon, height = self.position
+            if datum is None:
+                raise UserError("--position: say what its height is above, with --camera-datum.")
+            height = float(ellipsoidal_heights([lon], [lat], [height], datum)[0])
+            pose = dataclasses.replace(pose, position=Geodetic.from_degrees(lat=lat, lon=lon, height=height))
+        if self.attitude is not None:
+            heading, pitch, roll = np.deg2rad(self.attitude)
+            pose = dataclasses.replace(pose, heading=heading, pitch=pitch, roll=roll)
+        return dataclasses.replace(shot, pose=pose)
 
 
 def _view(shot: Any, place: list[float]) -> Any:

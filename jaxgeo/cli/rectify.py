@@ -23,7 +23,7 @@ from jaxgeo.cli._options import WRITING, DemFiles, DemOptions, DemOptionsBesideB
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._rectify_many import rectify_several
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import bars_on_stderr, print_counts
+from jaxgeo.cli._screen import bars_on_stderr, print_counts, print_written
 
 QUICK_PIXELS = 40_000_000  # below this, optimised compilation does not pay off
 SHOWN = "The cell is visible in the image (it is unknown where the image is)."
@@ -136,6 +136,7 @@ def rectify_command(
             print_json("rectify", {"inputs": inputs, **_content(done, seconds)})
         else:
             print_raster(done, seconds)
+        print_written(output)
         count_cells(done)
 
 

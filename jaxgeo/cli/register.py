@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import pixel_pitch_of
@@ -23,7 +24,7 @@ from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
-from jaxgeo.cli._screen import print_note, working
+from jaxgeo.cli._screen import print_written, working
 from jaxgeo.cli.scene import write_scene_of
 
 
@@ -83,8 +84,7 @@ def register_command(
             files = image, reference, path
             work, errors, pixels = _read(files, dem, reading, sigmas, pixel or [], (band, reference_band))
             output.mkdir(parents=True, exist_ok=True)
-            for one in errors.assumed:
-                print_note(f"assumed: {one}")
+            print_assumed(errors.assumed)
             with working("compiling and registering"):
                 found = _register(work, errors, block, probability)
             found_by = time.perf_counter() - began
@@ -95,6 +95,7 @@ def register_command(
                 content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
                 content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
                 write_registration_report(output / "report.json", content)
+        print_written(output)
         print_report(content, output, found, as_json)
     if not found.accepted:
         raise typer.Exit(NO_ANSWER)

@@ -12,6 +12,7 @@ import typer
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._archive_dem import messages
+from jaxgeo.cli._assumed import assumed_shares, told_shares
 from jaxgeo.cli._cluster import ClusterOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -21,7 +22,7 @@ from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, Observation
 from jaxgeo.cli._locate_results import exit_without_fix, locate_inputs
 from jaxgeo.cli._options import WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, working
+from jaxgeo.cli._screen import print_counts, print_note, print_written, working
 from jaxgeo.fix import Fix
 
 ENDINGS = (".html", ".htm")
@@ -72,6 +73,7 @@ def report_command(
         _ = reading.arguments  # raises for wrong values
         with destination("--output", output) as stream:
             inputs, fixes = _report(options, probability, output, stream, page, many, as_json)
+        print_written(output)
         exit_without_fix(inputs, fixes)
 
 
@@ -117,15 +119,36 @@ def _report(
     with working("computing details"):
         details = details_of(subject, most=page.details)
     assumed = [*inputs.assumed, *messages(), *(f"Not read: {reason}" for reason in reasons or () if reason is not None)]
-    header = ReportHeader(page.title or _title(options), _inputs(options), assumed)
+    shares = assumed_shares(inputs, accuracy)
+    said = told_shares(shares, probability, count=len(observed))
+    header = ReportHeader(page.title or _title(options), _inputs(options), assumed, notice=said or "")
     with working("drawing"):
-        stream.write(report_html(subject, header=header, details=details))
+        stream.write(report_html(subject, header=header, details=details, images=_images(options, observed)))
     rows = observed.table(fixes, accuracy, reasons=reasons)
+    if said is not None:
+        print_note(said)
     print_counts(Counter(row["status"] for row in rows), len(rows))
     if as_json:
-        content = {"fixes": rows, "details": [detail.to_dict() for detail in details]}
+        content = {
+            "assumed_variance_shares": shares,
+            "fixes": rows,
+            "details": [detail.to_dict() for detail in details],
+        }
         print_json("report", {"inputs": options.inputs, "assumed": inputs.assumed, **content})
     return inputs, fixes
+
+
+def _images(options: LocateOptions, observed: Any) -> dict[int, pathlib.Path]:
+    """The image files of drone images, by pixel of the page."""
+    from jaxgeo.io.acquisitions.several import files_of
+    from jaxgeo.io.observation_reader import IMAGE_ENDINGS
+
+    if options.is_scene:
+        return {}
+    files = [pathlib.Path(one) for one in files_of(options.files)[0]]
+    by_name = {one.name: one for one in files if one.suffix.lower() in IMAGE_ENDINGS}
+    names = [str(observed.columns[row].get("name")) for row in observed.read_rows.tolist()]
+    return {index: by_name[name] for index, name in enumerate(names) if name in by_name}
 
 
 def _title(options: LocateOptions) -> str:

@@ -9,12 +9,14 @@ import typer
 
 from jaxgeo._destination import check_place
 from jaxgeo.cli._acquisitions import ReadingOptions, reading_files
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import check_no_overwrite
+from jaxgeo.cli._known_heights import TakeoffOptions
 from jaxgeo.cli._option_names import as_typed
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_note
+from jaxgeo.cli._screen import print_note, print_written
 from jaxgeo.sensor import Shot
 
 
@@ -33,6 +35,7 @@ def scene_command(
         typer.Option("--scene", metavar="FILE", help="Scene file (TOML) with the camera of a FILE without one."),
     ] = None,
     reading: ReadingOptions = ReadingOptions(),
+    of_takeoff: TakeoffOptions = TakeoffOptions(),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -44,7 +47,8 @@ def scene_command(
         check_place("--output", output)
         read = [file, scene, reading.positions, reading.errors, reading.interior]
         check_no_overwrite("--output", output, read)
-        name, said = write_scene_of(file, output, exposure, scene, reading)
+        name, said = write_scene_of(file, output, exposure, scene, of_takeoff.known(reading, [file], scene))
+        print_written(output)
         if as_json:
             print_json("scene", {"inputs": inputs, "exposure": name, "assumed": said})
             return
@@ -79,6 +83,7 @@ def write_scene_of(
     left_out = write_scene(
         output, look.sensor, look.motion, sources=sources, atmosphere=look.atmosphere, comment=comment
     )
-    for one in (*assumed, *left_out):
-        print_note(f"assumed: {one}" if one in assumed else one)
+    print_assumed(assumed)
+    for one in left_out:
+        print_note(one)
     return names[0], [*assumed, *left_out]

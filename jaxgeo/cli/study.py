@@ -20,7 +20,7 @@ from jaxgeo.cli._inputs import check_goes_with_dem, check_no_overwrite, read_ter
 from jaxgeo.cli._option_names import translate_reach_errors
 from jaxgeo.cli._options import DemOptions, expand_groups
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_message, working
+from jaxgeo.cli._screen import print_message, print_written, working
 
 WIDE = 150  # characters per line in a file
 PLACES = "places"  # folder of what workers have evaluated
@@ -237,8 +237,7 @@ def all_command(
         if missing:
             print_message(f"no figures or no page ({missing}); pip install 'jaxgeo[report]'")
             raise typer.Exit(NO_ANSWER) from None
-        if not as_json:
-            console.print(f"page, tables and figures: {output / 'index.html'}", highlight=False, soft_wrap=True)
+        print_written(output / "index.html")
 
 
 def _limits(plane: float | None, height: float | None, source: str | None) -> Any:
@@ -306,8 +305,7 @@ def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, input
     except ImportError as error:
         print_message(f"no figures: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         raise typer.Exit(NO_ANSWER) from None
-    if inputs is None:
-        console.print(f"tables and figures: {folder}", highlight=False, soft_wrap=True)
+    print_written(folder)
 
 
 def _console() -> Console:

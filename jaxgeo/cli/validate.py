@@ -12,6 +12,7 @@ import typer
 
 from jaxgeo._destination import check_no_input, check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
@@ -21,7 +22,7 @@ from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._options import SEEN, SURE, WRITING, OptionGroup, SceneOfFiles
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_note, working
+from jaxgeo.cli._screen import print_note, print_written, working
 
 if TYPE_CHECKING:
     from jaxgeo.io import SurveyedPixels
@@ -133,6 +134,7 @@ def validate_command(
         with contextlib.ExitStack() as stack:
             stream = None if output is None else stack.enter_context(destination("--output", output, binary=True))
             _run(of_points, options, output, stream, calibration, as_json)
+        print_written(calibration.file, output)
 
 
 def _check(
@@ -171,6 +173,8 @@ def _run(
     compile_quickly(options.has_terrain_field)
     enable_x64()
     surveyed = _surveyed(of_points, options)
+    for one in surveyed.unread:
+        print_note(f"{of_points.points}: {one}")
 
     def check(observed: Any, _: bool) -> None:
         """Raise for images that are not there, before the ground is read."""
@@ -179,8 +183,7 @@ def _run(
     inputs = read_inputs(options, True, output, check)
     assumed = list(inputs.assumed)
     survey, pixel = _sigmas(of_points, surveyed, inputs.observed, assumed)
-    for one in assumed[len(inputs.assumed) :]:
-        print_note(f"assumed: {one}")
+    print_assumed(assumed[len(inputs.assumed) :])
     points, errors, rows = check_points_of(inputs.observed, surveyed, sigma_enu=survey, sigma_px=pixel)
     ground = _ground(inputs, rows)
     with working("comparing"):
@@ -192,10 +195,9 @@ def _run(
             calibrated = calibrate_errors(points, ground, errors, each_axis=calibration.each_axis)
         _write(calibration.file, calibrated)
         told["calibration"] = calibrated.to_dict()
-        lines += ["", calibrated.words, f"sigmas: {calibration.file}"]
+        lines += ["", calibrated.words]
     if stream is not None:
         _draw(found, stream, output)
-        lines.append(f"figure: {output}")
     if as_json:
         typed = {"points": f"{of_points.points}", "points_datum": of_points.points_datum}
         print_json("validate", {"inputs": options.inputs | typed, "assumed": assumed, **told})

@@ -24,7 +24,7 @@ from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs, states_errors
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._locate_results import camera_outside_dem
 from jaxgeo.cli._options import SEEN, OptionGroup, Probability
-from jaxgeo.cli._oriented_images import image_named, images_in
+from jaxgeo.cli._oriented_images import check_is_folder, images_named
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_note, working
 
@@ -108,10 +108,8 @@ def _check(options: LocateOptions, probability: float, page: PageOptions) -> Non
         raise UserError(f"--probability {probability:g}: must be between 0 and 1.")
     if page.port is not None and page.port not in PORTS:
         raise UserError(f"--port {page.port}: must be from 1 to 65535.")
-    if page.images is not None and not page.images.exists():
-        raise UserError(f"--images {page.images}: there is no such folder.")
-    if page.images is not None and not page.images.is_dir() and not options.is_scene:
-        raise UserError(f"--images {page.images}: this is a file; give the folder of the images.")
+    if page.images is not None and not (options.is_scene and page.images.exists()):
+        check_is_folder(page.images)
     if page.tiles is not None:
         from jaxgeo.view import check_tiles
 
@@ -198,16 +196,18 @@ def _files_of(
     if folder is not None and not folder.is_dir():
         return [folder for _ in images]
     if folder is not None:
-        by_stem = images_in(folder)
-        named = [image_named(folder, one.name, by_stem) for one in images]
-        if not any(one.is_file() for one in named):
-            raise UserError(f"--images {folder}: none of the images is there; the first would be {named[0].name}.")
-        return [*named]
+        return [*images_named(folder, [one.name for one in images], _source(options))]
     if options.is_scene:
         return [None for _ in images]
     each = [pathlib.Path(one) for one in files_of(options.files)[0]]
     by_name = {one.name: one for one in each} | {f"{one}": one for one in each}
     return [by_name.get(one.name) for one in images]
+
+
+def _source(options: LocateOptions) -> str:
+    """The files as named in messages."""
+    first = options.files[0] if options.files else options.scene_file
+    return f"{first}" if len(options.files) < 2 else f"{first} and {len(options.files) - 1} more"
 
 
 def _open_browser(address: str) -> None:

@@ -1,6 +1,7 @@
 """Image coverage planning: footprints, overlap, pointing and exposure timing."""
 
 from jaxgeo._renamed import renamed
+from jaxgeo.coverage._covered import CoveredPart, covered_part
 from jaxgeo.coverage._footprint import Footprint, GroundSampleDistance, footprint, ground_sample_distance
 from jaxgeo.coverage._overlap import Overlap, flight_direction, overlap
 from jaxgeo.coverage.clock import ExposureClock
@@ -15,6 +16,7 @@ from jaxgeo.sensor.root_finder import FixedNewton
 
 __all__ = [
     "Compensation",
+    "CoveredPart",
     "ExposureClock",
     "FixedNewton",
     "FixedPeriod",
@@ -34,6 +36,7 @@ __all__ = [
     "VelocityHeight",
     "VisibleGround",
     "compensate",
+    "covered_part",
     "flight_direction",
     "fly",
     "footprint",

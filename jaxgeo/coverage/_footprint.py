@@ -61,7 +61,7 @@ class Footprint(Record):
     @property
     def found(self) -> np.ndarray:
         """Which points see ground, (n,)."""
-        return _seen(self.fix)
+        return sees_ground(self.fix)
 
     @property
     def area(self) -> float:
@@ -134,7 +134,7 @@ def footprint(
     uv = np.concatenate(sides)
     projection = local_projection(image) if projection is None else projection
     looked = Looked(sensor, image, terrain, air, projection)
-    ring = _Ring(uv, *_located(looked, uv), np.zeros(len(uv), bool))
+    ring = _Ring(uv, *located_points(looked, uv), np.zeros(len(uv), bool))
     while not ring.settled.all():
         if len(ring.uv) > MOST:
             raise ValueError(f"a tolerance of {tolerance:g} m asks for more than {MOST:,} places: take a larger one.")
@@ -232,9 +232,9 @@ def _denser(looked: Looked, ring: _Ring, tolerance: float) -> _Ring:
     asked = np.flatnonzero(~ring.settled)
     after = (asked + 1) % len(ring.uv)
     middles = 0.5 * (ring.uv[asked] + ring.uv[after])
-    between, on_map = _located(looked, middles)
+    between, on_map = located_points(looked, middles)
     here, there = (_taken(ring.fix, index) for index in (asked, after))
-    seen = [_seen(fix) for fix in (here, there, between)]
+    seen = [sees_ground(fix) for fix in (here, there, between)]
     off, share = _off_line(here.ecef, there.ecef, between.ecef)
     # A jump is straight too, along a line of sight; but then the midpoint is at one of its ends.
     even = (np.abs(share - 0.5) <= 0.5 - UNEVEN) | (np.linalg.norm(there.ecef - here.ecef, axis=1) <= tolerance)
@@ -252,7 +252,7 @@ def _denser(looked: Looked, ring: _Ring, tolerance: float) -> _Ring:
     )
 
 
-def _located(looked: Looked, uv: np.ndarray) -> tuple[Fix, np.ndarray]:
+def located_points(looked: Looked, uv: np.ndarray) -> tuple[Fix, np.ndarray]:
     """Fixes of points (n, 2), and their map coordinates (n, 2), as NumPy arrays; in batches of one size."""
     parts = []
     for first in range(0, len(uv), BATCH):
@@ -268,7 +268,7 @@ def _mapped(projection: TransverseMercator, p_ecef: Float[Array, "places 3"]) ->
     return jax.vmap(lambda p: on_map(projection, p))(p_ecef)
 
 
-def _seen(fix: Fix) -> np.ndarray:
+def sees_ground(fix: Fix) -> np.ndarray:
     """Whether each fix of a batch is on the ground."""
     status = np.asarray(fix.status)
     return (status == Status.hit) | (status == Status.near_tangent)
@@ -294,7 +294,7 @@ def _off_line(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, 
 def _jumps(sensor: Sensor, ring: _Ring, tolerance: float) -> np.ndarray:
     """Whether points at the finest spacing still see ground far apart: farther than the slope of the far ground
     explains, as it does close to the horizon."""
-    uv, fix, seen = ring.uv, ring.fix, _seen(ring.fix)
+    uv, fix, seen = ring.uv, ring.fix, sees_ground(ring.fix)
     after = np.roll(uv, -1, axis=0)
     close = np.max(np.abs(after - uv), axis=1) <= FINEST
     apart, following = _apart(fix), _taken(fix, np.arange(1, len(uv) + 1) % len(uv))
@@ -322,7 +322,7 @@ def _turns(sensor: Sensor, uv: Float[Array, "places 2"], after: Float[Array, "pl
 def _whole(fix: Fix) -> int:
     """Status of an outline."""
     statuses = np.asarray(fix.status)
-    wrong = statuses[~_seen(fix)]
+    wrong = statuses[~sees_ground(fix)]
     if not wrong.size:
         return int(Status.hit)
     return int(Status.crosses_horizon if np.any(wrong == Status.rises_away) else wrong[0])

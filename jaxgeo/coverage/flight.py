@@ -16,7 +16,7 @@ from jaxgeo._checks import as_float64, check_is, check_range
 from jaxgeo._compile import quick_filter_jit
 from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import cross, matvec, safe_norm
-from jaxgeo._record import Record
+from jaxgeo._record import Record, has_numbers, range_text
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
 from jaxgeo.coverage._overlap import (
@@ -137,6 +137,20 @@ class Strip(Record):
     images: int = eqx.field(static=True)
     along: Along = eqx.field(static=True)
     stations: int = eqx.field(static=True, default=STATIONS)
+
+    def __repr__(self) -> str:
+        """Images, speed, course, overlap and step; fields if they are traced."""
+        of_path = (self.speed, self.course, self.overlap, self.near_length)
+        if not has_numbers(*of_path, *jax.tree.leaves(self.shot)) or np.ndim(self.shot.pose.heading):
+            return super().__repr__()
+        with jax.ensure_compile_time_eval():
+            step = range_text(self.step, 1)
+        speed, course = range_text(self.speed, 1), range_text(np.rad2deg(np.asarray(self.course)), 3)
+        share = range_text(100.0 * np.asarray(self.overlap), 1)
+        return (
+            f"Strip({self.images} images {step} m apart, at {speed} m/s, course {course} deg, overlap {share} % at the "
+            f"near end, flight along {self.along})"
+        )
 
     @classmethod
     def planned(

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int8
 
 from jaxgeo._checks import check_is
 from jaxgeo._compile import quick_filter_jit
-from jaxgeo._record import Record
+from jaxgeo._record import Record, has_numbers
 from jaxgeo._typing import Scalar
 from jaxgeo.coverage.exposure import end_places
 from jaxgeo.coverage.flight import SPECS, Compensation, FlightNoise, Strip, flown, normals_of, shots_of, specs_of
@@ -98,6 +98,17 @@ class LinearGaps(Record):
     of_pair: Float[Array, " pairs"]
     slopes: Float[Array, " specs"]
     noise: FlightNoise
+
+    def __repr__(self) -> str:
+        """Probability of a gap in the strip, and the pair where it is largest; fields if they are traced."""
+        if not has_numbers(self.free, self.of_pair) or np.ndim(self.of_pair) != 1:
+            return super().__repr__()
+        each = np.asarray(self.of_pair)
+        worst = int(np.argmax(each))
+        return (
+            f"LinearGaps(probability of a gap {self.gap_probability:.4g} in {len(each)} pairs, largest at pair "
+            f"{worst}: {each[worst]:.4g})"
+        )
 
     @property
     def gap_probability(self) -> float:

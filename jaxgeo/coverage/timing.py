@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Callable
 from typing import Any, Literal
 
 import equinox as eqx
@@ -178,10 +179,12 @@ class GroundShared(AbstractTiming):
             raise ValueError(f'place must be "near", "far" or "least"; got {self.place!r}.')
         VelocityHeight(self.overlap).check(course, along, start)
 
-    def times(self, course: Course, start: float, most: int) -> np.ndarray:
+    def times(
+        self, course: Course, start: float, most: int, progress: Callable[[float, float], object] | None = None
+    ) -> np.ndarray:
         goal = 1.0 - checked_overlap(self.overlap)
         nodes, total, _ = VelocityHeight(self.overlap).integral(course, start)
-        times = [start]
+        times, end = [start], float(nodes[-1])
         while len(times) < most:
             following = float(_first_due(self, course, jnp.asarray(times[-1]), nodes, total, goal))
             if not math.isfinite(following):
@@ -189,6 +192,8 @@ class GroundShared(AbstractTiming):
             if not following > times[-1]:
                 raise ValueError(f"no time after {times[-1]:.9g} s gives an overlap that large: it would stand still.")
             times.append(following)
+            if progress is not None:
+                progress(min(following, end) - start, end - start)
         return np.array(times)
 
 
@@ -237,13 +242,15 @@ def plan(
     most: int = MOST,
     stations: int = STATIONS,
     atmosphere: Atmosphere | None = None,
+    progress: Callable[[float, float], object] | None = None,
 ) -> Plan:
     """All images of a flight from `start` in s (by default the first complete one), and their overlaps.
 
     The gimbal follows the trajectory's readings. `along` names the image axis along the flight; by default it is
-    determined at the start. Ends with the trajectory, or after `most` images. Not traceable: the number of images
-    depends on the values. Raises `ValueError` if fewer than two images fit, for a start outside the trajectory, and as
-    `axis_along`.
+    determined at the start. Ends with the trajectory, or after `most` images. `progress` is called with the time
+    planned and the length of the flight, in s, after each image that is searched for (`GroundShared`). Not traceable:
+    the number of images depends on the values. Raises `ValueError` if fewer than two images fit, for a start outside
+    the trajectory, and as `axis_along`.
     """
     check_terrain(terrain, FIRST_HIT)
     check_is(timing, AbstractTiming, "timing", "FixedPeriod, VelocityHeight or GroundShared.")
@@ -267,7 +274,8 @@ def plan(
     if along is None:
         along = _axis_at(sensor, trajectory, time, terrain)
         course = Course(sensor, trajectory, terrain, course.air, along)
-    times = timing.times(course, float(time), most)
+    reports: dict[str, Any] = {"progress": progress} if isinstance(timing, GroundShared) else {}
+    times = timing.times(course, float(time), most, **reports)
     if len(times) < 2:
         raise too_few(span[1], float(times[0]))
     return Plan(trajectory, jnp.asarray(times), _overlaps_of(course, times, stations))

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo.fix import Fix
+from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io.geoid import height_msl
 from jaxgeo.io.tables import FIX_COLUMNS, fix_rows
 from jaxgeo.status import Status
@@ -241,8 +242,12 @@ def checked_attributes(name: str, attributes: Any, count: int, taken: set[str]) 
     """Validated caller attributes: texts, numbers and bools by name, the same names for all rows."""
     if attributes is None:
         return [{} for _ in range(count)]
+    attributes = attribute_rows(name, attributes, count, "fixes")
     if not isinstance(attributes, list | tuple) or not all(isinstance(one, Mapping) for one in attributes):
-        raise ValueError(f"{name}: attributes must be a list of mappings; got {type(attributes).__name__}.")
+        raise ValueError(
+            f"{name}: attributes must be a list with a mapping for each fix, or one mapping of names to columns; got "
+            f"{type(attributes).__name__}."
+        )
     rows = [{str(key): plain(value) for key, value in one.items()} for one in attributes]
     if len(rows) != count:
         raise ValueError(f"{name}: attributes must be one mapping for each of {count} fixes; got {len(rows)}.")

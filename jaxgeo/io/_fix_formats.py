@@ -131,9 +131,15 @@ def when(row: Mapping[str, Any]) -> str | None:
     return text if isinstance(text, str) and ISO.fullmatch(text) else None
 
 
+def _with_time(name: str, time: str | None) -> str:
+    """The name of an image, or the number of a frame with its time."""
+    return name if time is None or not name.isdecimal() else f"{name}, {time}"
+
+
 def _titles(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Names of fixes on a map: those of their images, with the pixel where one image has several."""
-    names = [f"{row.get('name') or f'fix {i}'}" for i, row in enumerate(rows)]
+    """Names of fixes on a map: those of their images, with the pixel where one image has several; numbered frames with
+    their times."""
+    names = [_with_time(f"{row.get('name') or f'fix {i}'}", when(row)) for i, row in enumerate(rows)]
     each = [tuple(f"{row[axis]:g}" for axis in "uv" if isinstance(row.get(axis), int | float)) for row in rows]
     pixels: dict[str, set[tuple[str, ...]]] = {}
     for name, pixel in zip(names, each, strict=True):

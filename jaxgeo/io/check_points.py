@@ -15,6 +15,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import names_of, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, read_csv
 from jaxgeo.io._text import read_text
+from jaxgeo.io._unread_columns import unread_columns
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.gcp import OFFSETS, read_gcp_list
 from jaxgeo.io.observations import Observations
@@ -38,7 +39,8 @@ class SurveyedPixels:
     """n pixels of surveyed points: names of `image` and `point`, pixels `uv` (n, 2), `position` (n,).
 
     `sigma_enu` (n, 3) in m, `sigma_px` (n, 2) and the `flight` are None if the file does not state them. `is_check`
-    (n,) flags points to hold back from an adjustment; None if the file names none.
+    (n,) flags points to hold back from an adjustment; None if the file names none. `unread` is a sentence on the
+    columns of the file that are not read, if there are any.
     """
 
     image: np.ndarray
@@ -49,6 +51,7 @@ class SurveyedPixels:
     sigma_px: np.ndarray | None = None
     flight: np.ndarray | None = None
     is_check: np.ndarray | None = None
+    unread: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.image)
@@ -106,6 +109,7 @@ def read_check_points(
         _sigmas(table, OF_PIXEL, "sigma_px", PIXELS),
         names_of(table, "flight") if "flight" in table.header else None,
         _held_back(table, point) if "role" in table.header else None,
+        tuple(unread_columns(table.header, {*NEEDED, *SURVEY, *OF_PIXEL, "sigma_px", "flight", "role"})),
     )
 
 

@@ -16,6 +16,7 @@ from jaxgeo._checks import check_is, require_x64
 from jaxgeo._destination import destination
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._features import WGS84
 from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_figures, rows_of
@@ -42,7 +43,7 @@ def write_fixes(
     probability: float | None = None,
     crs: Any = "EPSG:4326",
     heights: Any = None,
-    attributes: Sequence[Mapping[str, Any]] | None = None,
+    attributes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None,
     ellipses: bool = True,
     mgrs: bool = False,
     reasons: Sequence[str | None] | None = None,
@@ -66,7 +67,8 @@ def write_fixes(
       columns `crs` and `vertical_datum` beside `map_x`, `map_y`, `map_z`. GeoJSON in another CRS than
       EPSG:4979 names it with the pre-RFC 7946 member, which not every reader supports. KML and GPX are always in WGS 84
       with heights above EGM96; GPX has one track of the fixes with coordinates, with their times.
-    - `attributes`: for each fix numbers, texts, bools or None by name, the same names for all. KML shows `name`.
+    - `attributes`: for each fix numbers, texts, bools or None by name, the same names for all; or one mapping of names
+      to a value for each fix. KML shows `name`.
     - `ellipses`: also the outline on the ground that contains the true point with the probability, of kind "ellipse",
       or "circle" if only a radius is known; none if it has no area. Outlines are in the horizontal CRS, in a layer
       `ellipses` (.gpkg), a second geometry column (.parquet), or features or placemarks of their own.
@@ -127,7 +129,7 @@ def check_fix_file(
     heights: Any,
     near: Geodetic,
     *,
-    attributes: Sequence[Mapping[str, Any]] | None = None,
+    attributes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None,
     mgrs: bool = False,
     reasons: Sequence[str | None] | None = None,
     probability: float | None = None,
@@ -169,7 +171,8 @@ def _table_of(
     lat, lon, height = degrees_of(fixes.position)
     places = chart.points(f"{target}", lon, lat, height)
     outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
-    carried = frozenset(str(name) for row in attributes or () for name in row)
+    given = attribute_rows(f"{target}", attributes, len(rows), "fixes")
+    carried = frozenset(str(name) for row in given or () for name in row)
     return FixTable(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
 
 

@@ -17,6 +17,7 @@ from pyproj.transformer import Transformer
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo.coverage._footprint import Footprint
+from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._features import Feature, has_heights
 from jaxgeo.io._geopackage import check_vector_driver, one_layer
 from jaxgeo.io._outlines import line, outline, runs
@@ -63,7 +64,7 @@ def write_footprints(
     footprints: Sequence[Footprint] | Any,
     *,
     crs: Any = "EPSG:4326",
-    attributes: Sequence[Mapping[str, Any]] | None = None,
+    attributes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None,
     edges: bool = False,
     style: bool = False,
 ) -> None:
@@ -75,7 +76,8 @@ def write_footprints(
 
     - `crs`: anything pyproj takes. Points have no heights, except in a geographic 3D CRS, such as "EPSG:4979". GeoJSON
       in another CRS than WGS 84 names it with the pre-RFC 7946 member, which not every reader supports.
-    - `attributes`: for each footprint numbers, texts or None by name, the same names for all.
+    - `attributes`: for each footprint numbers, texts or None by name, the same names for all; or one mapping of
+      names to a value for each.
     - `edges`: also lines, of `kind` "edge", along visible ground and where the outline crosses hidden ground
       (`kind_of_edge` "seen" or "hidden"); for incomplete footprints, too.
     - `style`: also a style for QGIS, outlines without a fill, as in `write_fixes`.
@@ -109,7 +111,10 @@ def write_footprints(
 
 
 def check_footprint_file(
-    path: str | os.PathLike[str], crs: Any, attributes: Sequence[Mapping[str, Any]] | None, count: int
+    path: str | os.PathLike[str],
+    crs: Any,
+    attributes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None,
+    count: int,
 ) -> None:
     """Raises as `write_footprints` would for this name, CRS and attributes, before the footprints are computed."""
     target = pathlib.Path(path)
@@ -145,6 +150,7 @@ def _driver(target: pathlib.Path) -> str:
 
 
 def _checked_attributes(target: pathlib.Path, attributes: Any, count: int) -> list[dict[str, Any]]:
+    attributes = attribute_rows(f"{target}", attributes, count, "footprints")
     given: list[dict[str, Any]] = (
         [{}] * count
         if attributes is None

@@ -40,6 +40,7 @@ from jaxgeo.uncertainty.sources import (
 )
 
 Path = str | os.PathLike[str]
+CENTRE = ("centre_lat_deg", "centre_lon_deg", "centre_height_m")  # as the file reports it, height above the ellipsoid
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
 
 
@@ -228,6 +229,7 @@ def _observed(
     uv = [_pixels(pixels, frame_camera_of(part.sensor)) for part in found.parts]
     has_times = any(np.any(np.asarray(part.shots.time) != 0.0) for part in found.parts)
     clocks = (has_times, has_times and any(part.time_is_utc for part in found.parts))
+    has_centres = any(_reports_centres(part) for part in found.parts)
     lanes: list[list[tuple[int, int]]] = [[] for _ in found.parts]  # (row, exposure) of each part
     columns: list[Row] = []
     reasons: dict[int, Unread] = {}
@@ -237,13 +239,15 @@ def _observed(
     for place in chosen:
         if place in unread:
             reasons[len(columns)] = unread[place]
-            columns.append(_columns(_name(unread[place], found), math.nan, None, None, clocks))
+            own = _columns(_name(unread[place], found), math.nan, None, None, clocks)
+            columns.append(own | (dict.fromkeys(CENTRE) if has_centres else {}))
             continue
         part, index = where[place]
         for u, v in uv[part].tolist():
             lanes[part].append((len(columns), index))
             name, time = found.parts[part].names[index], found.parts[part].shots.time[index]
-            columns.append(_columns(str(name), time, u, v, clocks, found.parts[part].time_is_utc))
+            own = _columns(str(name), time, u, v, clocks, found.parts[part].time_is_utc)
+            columns.append(own | (_reported_centre(found.parts[part], index) if has_centres else {}))
     if reasons and not any(lanes):
         raise next(iter(reasons.values())).error
     air = None if scene is None else scene.atmosphere
@@ -285,6 +289,20 @@ def _columns(
     if clocks[1]:
         moment["time_utc"] = utc_text(float(time)) if is_known and is_utc else None
     return {"name": name, **moment, "u": u, "v": v}
+
+
+def _reports_centres(part: Acquisition) -> bool:
+    return part.reported is not None and bool(np.isfinite(np.asarray(part.reported.centre.lat)).any())
+
+
+def _reported_centre(part: Acquisition, index: int) -> Row:
+    """The ground position at the image centre as the file reports it; None if it does not."""
+    if part.reported is None:
+        return dict.fromkeys(CENTRE)
+    at = part.reported.centre
+    lat, lon, height = (float(np.asarray(x)[index]) for x in (at.lat, at.lon, at.height))
+    numbers = (round(math.degrees(lat), 9), round(math.degrees(lon), 9), round(height, 4))
+    return {name: x if math.isfinite(x) else None for name, x in zip(CENTRE, numbers, strict=True)}
 
 
 def _chosen(found: AcquisitionSet, names: Sequence[str], places: list[int]) -> list[int]:

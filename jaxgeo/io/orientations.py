@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pathlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,8 @@ from jaxgeo.io._orientation_columns import (
     read_orientation_columns,
     stated_crs,
 )
+from jaxgeo.io._prj import name_of, prj_beside, read_prj
+from jaxgeo.io._unread_columns import unread_columns
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.vertical import is_unnamed
@@ -89,6 +92,9 @@ class Orientations:
         return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed, self.of_camera)
 
 
+OF_PROGRAMS = {*(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)), "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
+
+
 def read_orientations(
     path: str | os.PathLike[str],
     *,
@@ -101,7 +107,8 @@ def read_orientations(
     Without `crs` the columns are `image`, `lat_deg`, `lon_deg`, `height_m`, `heading_deg` (from true north),
     `pitch_deg`, `roll_deg`: the attitude of a body with the camera in `Mount.nadir()`. OpenDroneMap's
     `odm_lla_rpy.csv` uses the same, so a gimbal 60 deg below level has a pitch of 30 deg.
-    With `crs`, a map such as "EPSG:2154", they are `image`, `x_m`, `y_m`, `z_m`, `omega_deg`, `phi_deg`, `kappa_deg`:
+    With `crs`, a map such as "EPSG:2154", they are `image`, `x_m`, `y_m`, `z_m`, `omega_deg`, `phi_deg`, `kappa_deg`
+    (a `.prj` file beside such a table is used if `crs` is not given):
     the photogrammetric angles of `Pose.from_omega_phi_kappa`, R_map_from_image = Rx(omega) Ry(phi) Rz(kappa), in the
     grid of that map at the image. Positions are exact, and the grid convergence is applied at each image. Headings in
     a map are from grid north: R_map_from_image = Rz(-heading) Rx(pitch) Ry(roll). In a `crs` of longitudes (x)
@@ -131,6 +138,7 @@ def read_orientations(
     """
     require_x64()
     columns = read_orientation_columns(path)
+    by_prj = of_prj(columns, crs)
     crs, height_datum = crs_of(columns, crs), datum_of(columns, height_datum)
     wanted = check_columns(columns, crs)
     names = columns.names("image")
@@ -149,12 +157,18 @@ def read_orientations(
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
     of_camera = "omega_deg" in numbers or (crs is not None and "x_m" in numbers)
-    return Orientations(names, pose, camera, sigma, time, (*notes, *_of_program(columns)), of_camera)
+    return Orientations(names, pose, camera, sigma, time, (*by_prj, *notes, *_of_program(columns)), of_camera)
 
 
 def crs_of(columns: Columns, crs: Any) -> Any:
-    """The CRS of a table: the caller's, else the file's. Raises `TableError` if both differ."""
+    """The CRS of a table: the caller's, else the file's, else that of the `.prj` file of a table in a map.
+
+    Raises `TableError` if the first two differ, and as `read_prj`.
+    """
     own = stated_crs(columns)
+    if own is None and crs is None:
+        beside = _prj_of(columns)
+        return None if beside is None else read_prj(beside)
     if own is None or crs is None:
         return crs if own is None else own
     (given, _), (stated, _) = understood_crs(columns.table.path, crs), understood_crs(columns.table.path, own)
@@ -162,6 +176,19 @@ def crs_of(columns: Columns, crs: Any) -> Any:
         raise TableError(f"{columns.table.path}: the file says that it is in {own.name!r}, but crs={crs!r}; leave crs= "
                          f"out.")  # fmt: skip
     return crs
+
+
+def of_prj(columns: Columns, crs: Any) -> list[str]:
+    """The assumption on the CRS of a table where `crs_of` takes it from its `.prj` file; `crs` is the caller's."""
+    beside = None if crs is not None or stated_crs(columns) is not None else _prj_of(columns)
+    return (
+        [] if beside is None else [f"Coordinates are in {name_of(read_prj(beside))}, by {beside.name} beside the file."]
+    )
+
+
+def _prj_of(columns: Columns) -> pathlib.Path | None:
+    """The `.prj` file of a table that is in a map."""
+    return prj_beside(columns.table.path) if "x_m" in columns and "lat_deg" not in columns else None
 
 
 def has_vertical(path: Any, crs: Any) -> bool:
@@ -199,7 +226,9 @@ def which_map(columns: Columns) -> str:
     reason = f"{columns.table.path}: {called[0]} is {{}}, and the file states no CRS: pass "
     if len(cells) == 2 and _in_degrees(*cells):
         return f'{reason.format("in deg")}crs="EPSG:4326".'
-    return f'{reason.format("projected")}that of its map, such as crs="EPSG:32616" for UTM zone 16 north.'
+    beside = pathlib.Path(columns.table.path).with_suffix(".prj").name
+    map_crs = 'such as crs="EPSG:32616" for UTM zone 16 north'
+    return f"{reason.format('projected')}that of its map, {map_crs}, or put its {beside} beside it."
 
 
 def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:
@@ -293,10 +322,17 @@ def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergen
     return Pose.from_omega_phi_kappa(position, omega, phi, kappa, convergence=convergence)
 
 
+def unread_of(columns: Columns) -> list[str]:
+    """[a sentence on the columns of a table of orientations or positions that are not read], or []."""
+    of_programs = {name for name in columns.table.header if name.lower() in OF_PROGRAMS}
+    known = {*ALIASES, *SIGMA_COLUMNS} - set(columns.called)
+    return unread_columns(columns.table.header, known, read={*columns.called.values(), *of_programs})
+
+
 def _of_program(columns: Columns) -> list[str]:
     """Assumptions about a program's columns."""
     header = [name.lower() for name in columns.table.header]
-    notes = []
+    notes = unread_of(columns)
     if "f=n" in header:
         notes.append(
             "W, P and K are taken as omega, phi and kappa in deg, as MicMac's OriConvert does; where they are pitch, "

@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._features import Feature
 from jaxgeo.io._geopackage import check_vector_driver, one_layer
 from jaxgeo.io._kml import Placemark, kml, kmz
@@ -50,7 +51,7 @@ def write_region(
     regions: Region | Sequence[Region] | Any,
     *,
     crs: Any = "EPSG:4326",
-    attributes: Sequence[Mapping[str, Any]] | None = None,
+    attributes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None,
 ) -> None:
     """Write highest-density regions to .geojson, .json, .gpkg, .kml or .kmz.
 
@@ -121,6 +122,7 @@ def _row(index: int, region: Region, mode: Mode | None) -> dict[str, Any]:
 
 
 def _checked_attributes(target: pathlib.Path, attributes: Any, regions: Sequence[Region]) -> list[dict[str, Any]]:
+    attributes = attribute_rows(f"{target}", attributes, len(regions), "regions")
     given: list[dict[str, Any]] = [{}] * len(regions) if attributes is None else [dict(one) for one in attributes]
     if len(given) != len(regions):
         raise ValueError(

@@ -19,6 +19,7 @@ from bokeh.resources import Resources
 from markupsafe import Markup
 
 from jaxgeo._destination import destination
+from jaxgeo.coverage.exposure import image_size
 from jaxgeo.io._fix_columns import figures_of, rows_of
 from jaxgeo.io.registration_report import versions
 from jaxgeo.plot import words
@@ -27,6 +28,7 @@ from jaxgeo.plot.style import INK, JUMPED, PURPLE, REGION, SIGHT, SKY, VERMILLIO
 from jaxgeo.report.answers import answer_of, camera_of, summary_of
 from jaxgeo.report.budgets import budget_of
 from jaxgeo.report.charts import cloud_chart, section_chart
+from jaxgeo.report.chips import MOST, chip_of
 from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail, details_of
 from jaxgeo.report.map import map_of
@@ -55,13 +57,14 @@ LAYERS = (  # key, label, (swatch kind, colour)
 class ReportHeader:
     """Title, inputs and assumptions shown on a page.
 
-    `made` is the creation time; now by default.
+    `made` is the creation time; now by default. `notice` is a sentence shown above the results.
     """
 
     title: str = "Ground coordinates and accuracy"
     inputs: Mapping[str, Any] = field(default_factory=dict)
     assumed: Sequence[str] = ()
     made: datetime.datetime | None = None
+    notice: str = ""
 
 
 def write_report(
@@ -71,21 +74,28 @@ def write_report(
     header: ReportHeader | None = None,
     details: Sequence[Detail] | None = None,
     most: int = 3,
+    images: Mapping[int, str | os.PathLike[str]] | None = None,
 ) -> None:
     """Write a report to a file atomically; arguments as for `report_html`.
 
     Raises `ValueError` for a path that cannot be written to.
     """
     with destination("path", pathlib.Path(path)) as stream:
-        stream.write(report_html(subject, header=header, details=details, most=most))
+        stream.write(report_html(subject, header=header, details=details, most=most, images=images))
 
 
 def report_html(
-    subject: ReportData, *, header: ReportHeader | None = None, details: Sequence[Detail] | None = None, most: int = 3
+    subject: ReportData,
+    *,
+    header: ReportHeader | None = None,
+    details: Sequence[Detail] | None = None,
+    most: int = 3,
+    images: Mapping[int, str | os.PathLike[str]] | None = None,
 ) -> str:
     """Self-contained HTML page of a report; needs no network.
 
-    `details` are the details of selected pixels, by default `details_of(subject, most=most)`.
+    `details` are the details of selected pixels, by default `details_of(subject, most=most)`. `images` are image files
+    by pixel: of the first pixels in detail, a part of the image is shown beside the map, as far as it can be read.
     """
     header = ReportHeader() if header is None else header
     details = details_of(subject, most=most) if details is None else details
@@ -104,6 +114,7 @@ def report_html(
             percent=words.percent_name(subject.probability),
             summary=summary_of(subject, rows) if len(subject) > len(details) or not details else None,
             shown=shown,
+            chips=_chips(subject, details, images or {}),
             layers=[layer for layer in LAYERS if _is_there(charts["map"], layer[0])],
             has_jumped=any(one["has_jumped"] for one in shown),
             jumped_colour=JUMPED,
@@ -177,6 +188,24 @@ def _shown(
         "budget": None if detail.budget is None else budget_of(detail.budget),
         "unsure": detail.unsure,
     }
+
+
+def _chips(
+    subject: ReportData, details: Sequence[Detail], images: Mapping[int, str | os.PathLike[str]]
+) -> list[dict[str, Any]]:
+    """Template data of the parts of images around pixels in detail."""
+    found: list[dict[str, Any]] = []
+    for number, detail in enumerate(details):
+        if detail.index not in images or len(found) == MOST:
+            continue
+        sensor, _, uv, _, _ = subject.look(detail.index)
+        width, height = image_size(sensor)
+        u, v = (float(x) for x in np.asarray(uv, np.float64))
+        chip = chip_of(images[detail.index], (width, height), (u, v))
+        if chip is not None:
+            name = f"Fix {number + 1}: {subject.name(detail.index)}" if len(details) > 1 else subject.name(detail.index)
+            found.append({"chip": chip, "name": name, "pixel": f"{u:.10g}, {v:.10g}"})
+    return found
 
 
 def _is_there(chart: Any, layer: str) -> bool:

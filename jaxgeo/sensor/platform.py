@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, by_numpy_if_known, check_finite, check_range, is_known
 from jaxgeo._numerics import matmul3, safe_norm
-from jaxgeo._record import Record
+from jaxgeo._record import Record, has_numbers, range_text
 from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.earth._horizon import hidden_by_earth
@@ -119,6 +119,23 @@ class Pose(Record):
     pitch: ScalarField = 0.0
     roll: ScalarField = 0.0
     deflection: Deflection | None = None
+
+    def __repr__(self) -> str:
+        """Position and attitude in deg and m, or their ranges; fields if they are traced."""
+        at, turned = self.position, (self.heading, self.pitch, self.roll)
+        if not isinstance(at, Geodetic) or not has_numbers(at.lat, at.lon, at.height, *turned):
+            return super().__repr__()
+        place = (np.rad2deg(np.asarray(at.lat)), np.rad2deg(np.asarray(at.lon)), np.asarray(at.height))
+        angles = tuple(np.rad2deg(np.asarray(angle)) for angle in turned)
+        lat, lon, height = (range_text(one, digits) for one, digits in zip(place, (7, 7, 2), strict=True))
+        heading, pitch, roll = (range_text(one, 3) for one in angles)
+        shape = np.broadcast_shapes(*(np.shape(one) for one in (*place, *angles)))
+        count = f"{' x '.join(map(str, shape))} poses, " if shape else ""
+        more = "" if self.deflection is None else ", with a deflection of the vertical"
+        return (
+            f"Pose({count}lat {lat}, lon {lon} deg, height {height} m, heading {heading}, pitch {pitch}, roll {roll} "
+            f"deg{more})"
+        )
 
     @classmethod
     def from_degrees(

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgeo._checks import as_float64, concrete, require_x64
 from jaxgeo._compile import is_direct, one_program
 from jaxgeo._numerics import all_finite, finite_or, safe_angle
+from jaxgeo._record import has_numbers, range_text
 from jaxgeo._typing import ExtentField, Flag, FlagField, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
@@ -49,6 +50,21 @@ class Dem(AbstractTerrain):
     has_void: FlagField
     pyramid: Pyramid
     field: AbstractField | None = None
+
+    def __repr__(self) -> str:
+        """Size, spacing, heights and centre; fields if they are traced or several."""
+        of_grid = jax.tree.leaves(self.grid)
+        if not has_numbers(self.extent, self.lowest, self.highest, *of_grid) or np.shape(self.extent) != (2,):
+            return super().__repr__()
+        rows, cols = (int(size) for size in np.asarray(self.extent))
+        with jax.ensure_compile_time_eval():
+            sizes, (x, y, z) = np.abs(np.asarray(self.grid.cell_size())), np.asarray(self.centre_normal()).tolist()
+        down, across = (range_text(size, 3 if size < 10.0 else 1) for size in sizes)
+        lat, lon = np.rad2deg(np.arctan2(z, np.hypot(x, y))), np.rad2deg(np.arctan2(y, x))
+        low, high = range_text(self.lowest, 1), range_text(self.highest, 1)
+        voids = "with voids" if bool(np.asarray(self.has_void)) else "no voids"
+        heights = f"heights {low} to {high} m above the ellipsoid, {voids}"
+        return f"Dem({rows} x {cols} posts {down} x {across} m apart, {heights}, centre {lat:.6f}, {lon:.6f} deg)"
 
     @classmethod
     def from_array(

@@ -44,6 +44,7 @@ LEVEL = 0.9  # probability of the figures that are compared
 MARGIN, MARGIN_OF_SPREAD, SPREAD = 0.014, 0.45, 0.1
 MARGIN_OF_JUMPS, FEWEST_JUMPS = 0.08, 1e-6  # where lines of sight jump or fail with a probability
 GRAZING = 0.01  # sine of the angle between ray and surface
+PLANAR = 0.01  # of the larger of two figures: smaller differences by two slopes are those of planar ground
 SAME = 5e-4  # difference of two figures, of their size, that is not worth a word
 
 
@@ -219,28 +220,45 @@ def explain_method(diagnostics: Diagnostics, method: Method) -> str:
         return "No error moves the fix: it is as exact as its input."
     jumps, fails = 100.0 * float(diagnostics.jumps), 100.0 * float(diagnostics.fails)
     circular = _against_profile("CE90", diagnostics.facet, diagnostics.footprint, diagnostics.profile)
+    up = _against_profile("LE90", diagnostics.facet_up, diagnostics.footprint_up, diagnostics.profile_up)
     if method is Method.facet:
         return f"The ground is nearly planar within the error region: {circular}, which the radii follow."
-    if method is Method.footprint:
+    if method is Method.footprint and _differ(diagnostics.facet, diagnostics.footprint):
         said = "The slope at the fix differs from the mean slope of the error region"
         return f"{said}: {circular}, which the radii follow."
+    if method is Method.footprint:
+        return f"The heights of the error region differ from a plane through the fix: {up}, which the radii follow."
     obstacle = _obstacle(diagnostics, fails, jumps)
     if obstacle is not None:
         return f"{obstacle}; {circular}."
-    up = _against_profile("LE90", diagnostics.facet_up, diagnostics.footprint_up, diagnostics.profile_up)
-    return f"The ground is not planar within the error region: {circular}; {up}."
+    if not math.isfinite(float(diagnostics.profile) + float(diagnostics.profile_up)):
+        return f"Errors over the ground along the line of sight are unbounded or unknown: {circular}; {up}."
+    if _differ(diagnostics.facet, diagnostics.footprint) or _differ(diagnostics.facet_up, diagnostics.footprint_up):
+        return f"The ground is not planar within the error region: {circular}; {up}."
+    angle = math.degrees(math.asin(min(float(diagnostics.grazing), 1.0)))
+    large = f"The errors are too large for linear propagation with a line of sight at {angle:.2g} deg to the ground"
+    return f"{large}, though the ground is nearly planar within the error region: {circular}; {up}."
+
+
+def _differ(one: Any, other: Any) -> bool:
+    """Whether the figures by the slope at the fix and by the mean slope differ, as they do over ground that is bent."""
+    one, other = float(one), float(other)
+    return not abs(one - other) <= PLANAR * max(abs(one), abs(other))
 
 
 def _against_profile(name: str, *figures: Any) -> str:
-    """By how much a figure over facet and footprint differs from that over the terrain profile."""
+    """By how much a figure by the slope at the fix, and by the mean slope of the error region, differs from that over
+    the ground along the line of sight."""
     *others, profile = map(float, figures)
     if not math.isfinite(profile):
-        return f"{name} is unknown over the terrain profile"
+        return f"{name} is unknown over the ground along the line of sight"
     ratios = [one / profile if profile > 0.0 else math.nan for one in others]
     if all(abs(ratio - 1.0) < SAME for ratio in ratios):
-        return f"{name} is the same over facet, footprint and terrain profile"
+        slopes = "by the slope at the fix, by the mean slope of the error region"
+        return f"{name} is the same {slopes} and over the ground along the line of sight"
     facet, footprint = map(_larger, ratios)
-    return f"{name} is {facet} over the facet and {footprint} over the footprint than over the terrain profile"
+    by_slopes = f"{facet} by the slope at the fix and {footprint} by the mean slope of the error region"
+    return f"{name} is {by_slopes} than over the ground along the line of sight"
 
 
 def _larger(ratio: float) -> str:

@@ -66,6 +66,20 @@ def test_a_fixed_period_is_kept() -> None:
 
 
 @pytest.mark.slow
+def test_progress_counts_up_to_the_length_of_the_flight() -> None:
+    """After each image that is searched for; of a fixed period nothing is."""
+    told: list[tuple[float, float]] = []
+    found = planned(GroundShared(WISHED), progress=lambda *numbers: told.append(numbers))
+    done, totals = np.array(told).T
+    assert np.all(np.diff(done) > 0.0)
+    np.testing.assert_allclose(done, np.asarray(found.times)[1:] - found.times[0], rtol=0, atol=1e-9)
+    assert set(totals) == {12.0}
+    told.clear()
+    planned(FixedPeriod(0.9), progress=lambda *numbers: told.append(numbers))
+    assert not told
+
+
+@pytest.mark.slow
 def test_the_period_of_eq_29_in_steady_flight() -> None:
     """Over level ground and at one speed and height, the formula gives the overlap that is wished."""
     period = geometry.period_of_overlap(

@@ -43,12 +43,31 @@ def folder(tmp_path: pathlib.Path, monkeypatch) -> pathlib.Path:
     return tmp_path
 
 
+CENTRE = ["centre_lat_deg", "centre_lon_deg", "centre_height_m"]
+
+
+def test_rows_have_the_reported_centre_of_their_frame(tmp_path: pathlib.Path) -> None:
+    """Beside an image, which reports none; files that report none at all have no such columns."""
+    prepare(tmp_path, "flight.klv DJI_0042.JPG")
+    files = [tmp_path / "DJI_0042.JPG", tmp_path / "flight.klv"]
+    image, *frames = read_observations(files, height_datum="ellipsoid").columns
+    assert [image[name] for name in CENTRE] == [None] * 3
+    reported = read_acquisition(files[1], height_datum="ellipsoid").reported
+    assert reported is not None
+    for k, row in enumerate(frames):
+        assert row["centre_lat_deg"] == pytest.approx(np.rad2deg(reported.centre.lat[k]), abs=1e-9)
+        assert row["centre_lon_deg"] == pytest.approx(np.rad2deg(reported.centre.lon[k]), abs=1e-9)
+        assert row["centre_height_m"] == pytest.approx(reported.centre.height[k], abs=1e-4)
+    alone = read_observations(files[:1], height_datum="ellipsoid").columns[0]
+    assert not set(CENTRE) & set(alone)
+
+
 def test_rows_are_in_the_order_of_files_exposures_and_pixels(folder) -> None:
     observed = read_observations(["flight.klv", "images"], PIXELS, **HOW)
     names = ["flight.klv/0", "flight.klv/1", "DJI_0042.JPG", "DJI_0043.JPG"]
     assert [row["name"] for row in observed.columns] == [name for name in names for _ in PIXELS]
     assert [(row["u"], row["v"]) for row in observed.columns] == PIXELS * len(names)
-    assert all(list(row) == ["name", "time_s", "time_utc", "u", "v"] for row in observed.columns)
+    assert all(list(row) == ["name", "time_s", "time_utc", "u", "v", *CENTRE] for row in observed.columns)
     assert observed.columns[0]["time_s"] > 0.0
     assert observed.columns[4]["time_s"] is None
     assert len(observed) == 8

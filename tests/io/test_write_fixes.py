@@ -113,6 +113,18 @@ def test_fixes_come_back_and_none_is_lost(tmp_path: pathlib.Path, suffix: str) -
     assert [other.name for other in tmp_path.iterdir()] == [path.name]
 
 
+def test_attributes_by_columns_are_those_by_rows(tmp_path: pathlib.Path) -> None:
+    """Lists, arrays and texts; of one fix single values."""
+    columns = {"image": ["a", "b", None], "strip": np.arange(3), "kept": (True, False, None)}
+    rows = [{name: list(values)[row] for name, values in columns.items()} for row in range(3)]
+    for name, given in (("columns.csv", columns), ("rows.csv", rows)):
+        write_fixes(tmp_path / name, made(), attributes=given)
+    assert (tmp_path / "columns.csv").read_bytes() == (tmp_path / "rows.csv").read_bytes()
+    one = jax.tree.map(lambda leaf: leaf[0], made())
+    write_fixes(tmp_path / "one.csv", one, attributes={"image": "abc", "strip": 7})
+    assert "abc,7," in (tmp_path / "one.csv").read_text()
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_attributes_go_along(tmp_path: pathlib.Path, suffix: str) -> None:
     path = tmp_path / f"fixes{suffix}"
@@ -481,6 +493,8 @@ WRONG = [
     ({"accuracy": [None]}, ValueError, "one, or None, for each of 3 fixes; got 1"),
     ({"accuracy": [LEVEL] * 3}, TypeError, r"accuracy\[0\] must be a jaxgeo Accuracy"),
     ({"attributes": [{}]}, ValueError, "one mapping for each of 3 fixes; got 1"),
+    ({"attributes": {"a": [1, 2]}}, ValueError, "'a' has 2 values; expected one for each of 3 fixes"),
+    ({"attributes": {"a": "xyz"}}, ValueError, "list with a mapping for each of 3 fixes, .*; 'a' has one value, 'xyz'"),
     ({"attributes": [{"a": 1}, {"b": 1}, {"a": 1}]}, ValueError, "fixes 0 and 1 differ: a, b"),
     ({"attributes": [{"Status": 1}] * 3}, ValueError, "'Status' is one that the file has by itself"),
     ({"attributes": [{"FID": 1}] * 3}, ValueError, "'FID' is one that the file has by itself"),

@@ -175,3 +175,14 @@ def test_what_xml_cannot_hold_is_refused(tmp_path: pathlib.Path) -> None:
     with pytest.raises(ValueError, match=r"fixes\.kml: XML cannot hold the character '\\x00'"):
         write_fixes(tmp_path / "fixes.kml", made(), attributes=[{"a": "x\0"}] * 3)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_numbered_frames_are_named_with_their_times(tmp_path: pathlib.Path) -> None:
+    """As the frames of a video; images keep their names, and frames without a time their numbers."""
+    rows = [("0", "2024-05-10T10:20:31.500Z"), ("1", None), ("a.jpg", "2024-05-10T10:20:32.000Z")]
+    attributes = [{"name": name, "time_utc": time} for name, time in rows]
+    for ending, tag in (("kml", "Placemark"), ("gpx", "trkpt")):
+        path = tmp_path / f"fixes.{ending}"
+        write_fixes(path, made(), attributes=attributes)
+        marks = [one for one in ET.fromstring(path.read_bytes()).iter() if one.tag.endswith(tag)]
+        assert [one.findtext("{*}name") for one in marks] == ["0, 2024-05-10T10:20:31.500Z", "1", "a.jpg"]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo import ConstantHeight, Geodetic, Pose, Shot
+from jaxgeo import ConstantHeight, FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.studies.scenes import tangent_dem
 from jaxgeo.terrain.plumb import height_by_plumb_line
 from jaxgeo.uncertainty import (
@@ -103,20 +103,37 @@ SURE = Diagnostics(10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 0.0, 0.0, math.inf, 0.5, 1.0
 REASONS = [
     ({}, Method.facet, "nearly planar within the error region"),
     ({"facet": 5.0}, Method.footprint, "differs from the mean slope of the error region"),
-    ({"profile": 20.0}, Method.samples, "not planar within the error region"),
+    (
+        {"facet": 9.0, "profile": 20.0},
+        Method.samples,
+        "not planar within the error region: CE90 is 55 % smaller by the slope at the fix and 50 % smaller by the mean "
+        "slope of the error region than over the ground along the line of sight; LE90 is the same",
+    ),
+    (
+        {"profile": 20.0},
+        Method.samples,
+        "errors are too large for linear propagation with a line of sight at 30 deg to the ground, though the ground "
+        "is nearly planar",
+    ),
+    (
+        {"footprint_up": 3.6, "profile_up": 3.6},
+        Method.footprint,
+        "heights of the error region differ from a plane through the fix: LE90 is 17 % smaller by the slope at the fix",
+    ),
+    ({"facet_up": 2.0, "footprint_up": 3.0, "profile_up": 6.0}, Method.samples, "not planar within the error region"),
     (
         {"facet_up": 0.0, "footprint_up": 1e-5, "profile_up": 3e-4},
         Method.facet,
         "nearly planar within the error region",
     ),
-    ({"profile_up": math.nan}, Method.samples, "not planar"),
-    ({"profile": math.inf}, Method.samples, "not planar"),
+    ({"profile_up": math.nan}, Method.samples, "unbounded or unknown: CE90 is the same"),
+    ({"profile": math.inf}, Method.samples, "unbounded or unknown: CE90 is unknown over the ground along the line"),
     (
         {"jumps": 0.02, "clearance": 1.5},
         Method.samples,
         "2 % of the perturbed lines of sight hit a nearer or farther slope (first at 1.5 sigma)",
     ),
-    ({"jumps": 0.004, "profile": 20.0}, Method.samples, "not planar"),
+    ({"jumps": 0.004, "facet": 8.0, "profile": 20.0}, Method.samples, "not planar"),
     (
         {"fails": 0.3},
         Method.samples,
@@ -140,6 +157,20 @@ def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(
     method = Method(int(select_method(jax.tree.map(jnp.asarray, diagnostics))))
     assert method is expected
     assert words in explain_method(diagnostics, method)
+
+
+@pytest.mark.slow
+def test_level_ground_is_not_blamed_for_large_errors() -> None:
+    """A gimbal that errs by 2 deg, seen at 8 deg to level ground: linear propagation fails, and not by the ground."""
+    sensor = Sensor(FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000), Gimbal.three_axis(),
+                    Mount.forward())  # fmt: skip
+    pose = Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    shot = Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-8.0, roll=0.0))
+    errors = [sources.GimbalAngles.from_degrees(yaw=2.0, pitch=2.0, roll=2.0), sources.TerrainHeight.from_metres(1.0)]
+    found = accuracy(sensor, shot, (1999.5, 1499.5), ConstantHeight(600.0), errors, sampling=None)
+    assert Method(int(found.method)) is Method.samples
+    assert found.because is not None
+    assert found.because.startswith("The errors are too large for linear propagation with a line of sight at 8 deg")
 
 
 @pytest.mark.costly

@@ -23,7 +23,7 @@ from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
 from jaxgeo.io.datum_names import is_ellipsoid
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
-from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
+from jaxgeo.io.orientations import crs_of, has_vertical, of_prj, positions_of, unread_of, which_map
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
@@ -227,7 +227,9 @@ def _of_geo(path: Any, height_datum: Any, crs: Any) -> PositionTable:
 
 def _of_table(path: Any, height_datum: Any, crs: Any) -> PositionTable:
     columns = read_orientation_columns(path, what="file of positions")
-    return _of_columns(columns, "table of positions", height_datum, crs_of(columns, crs))
+    return _of_columns(
+        columns, "table of positions", height_datum, crs_of(columns, crs), (*of_prj(columns, crs), *unread_of(columns))
+    )
 
 
 def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, notes: tuple[str, ...] = ()) -> PositionTable:

@@ -1,0 +1,132 @@
+"""Assumptions as printed on the terminal, and how much of CE90 comes from assumed standard deviations."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxgeo.cli._screen import print_note
+
+if TYPE_CHECKING:
+    from jaxgeo.cli._locate_inputs import LocateInputs
+    from jaxgeo.uncertainty import Accuracy
+
+OF_SIGMA = re.compile(r"\((--[a-z]+-sigma)\)")  # at the end of a sentence: the option that replaces the default
+MOST = 0.5  # share of the horizontal variance from which the assumed standard deviations are said to dominate
+LEAST = 0.1  # share from which one of them is named
+NAMED = {
+    "--position-sigma": "position",
+    "--attitude-sigma": "attitude",
+    "--gimbal-sigma": "gimbal angles",
+    "--focal-sigma": "focal length",
+    "--principal-sigma": "principal point",
+    "--dem-sigma": "ground height",
+}
+OF_SOURCE = {
+    "Position": "--position-sigma",
+    "Attitude": "--attitude-sigma",
+    "GimbalAngles": "--gimbal-sigma",
+    "TerrainHeight": "--dem-sigma",
+}
+
+
+def print_assumed(sentences: Sequence[str]) -> None:
+    """Print assumptions as notes: one for the default standard deviations, with their options, one for all others."""
+    sigmas = [one for one in sentences if OF_SIGMA.search(one) or " sigma: " in one]
+    others = [one for one in sentences if one not in sigmas]
+    if others:
+        print_note(f"assumed: {' '.join(map(_as_sentence, others))}")
+    if sigmas:
+        print_note(f"assumed: Standard deviations: {'; '.join(map(_as_item, sigmas))}.")
+
+
+def _as_sentence(text: str) -> str:
+    return text if text.endswith((".", ")")) else f"{text}."
+
+
+def _as_item(text: str) -> str:
+    """A sentence on a standard deviation as an item of a list: `position 3, 3, 5 m (--position-sigma)`."""
+    text = text.replace(". (", " (").replace(" sigma: ", " ", 1).removesuffix(".")
+    return text[:1].lower() + text[1:] if not text[:2].isupper() else text
+
+
+def assumed_shares(inputs: LocateInputs, found: Accuracy | None) -> dict[str, float]:
+    """Shares of assumed standard deviations in the horizontal variance of the fix with the median CE, by option,
+    largest first; empty if all are stated, or without accuracy."""
+    options = {option for one in inputs.assumed for option in OF_SIGMA.findall(one)}
+    propagation = _propagation(inputs, found) if options and found is not None else None
+    if propagation is None:
+        return {}
+    shares: dict[str, float] = {}
+    for option, share in _by_option(propagation).items():
+        if option in options:
+            shares[option] = share
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def told_shares(shares: dict[str, float], probability: float, *, count: int = 1) -> str | None:
+    """The assumed standard deviations that make most of CE90, as a sentence; None if they make less than half.
+
+    With a `count` of fixes above one, the sentence says which of them the shares are of.
+    """
+    total = sum(shares.values())
+    if total < MOST:
+        return None
+    named = [(option, share) for option, share in shares.items() if share >= LEAST] or list(shares.items())[:1]
+    texts = [f"{NAMED[option]} {100.0 * share:.0f} % ({option})" for option, share in named]
+    name = f"CE{100.0 * probability:.10g}"
+    where = f", of the fix with the median {name}" if count > 1 else ""
+    return (
+        f"{name} comes mostly from assumed standard deviations: {100.0 * total:.0f} % of the horizontal "
+        f"variance{where}: {', '.join(texts)}. Give your own with these options."
+    )
+
+
+def _propagation(inputs: LocateInputs, found: Accuracy | None) -> Any:
+    """Linear propagation at the fix with the median circular error; None without one."""
+    from jaxgeo.io.located import batches_with_terrain, terrain_at
+    from jaxgeo.terrain import AbstractTerrain
+    from jaxgeo.uncertainty import propagate
+
+    assert found is not None
+    if found.propagation is not None:
+        return found.propagation
+    circular = np.asarray(found.circular)
+    rows = np.flatnonzero(np.isfinite(circular))
+    if not rows.size:
+        return None
+    row = int(rows[np.argsort(circular[rows], kind="stable")[len(rows) // 2]])
+    number, index = inputs.observed.place(row)
+    grounds = [ground for _, ground in batches_with_terrain(inputs.observed, inputs.grounds)]
+    terrain = terrain_at(grounds[number], index)
+    assert isinstance(terrain, AbstractTerrain)
+    observation, sources = inputs.observed.at(row)
+    exposure = observation.exposure
+    shot: Any = exposure.motion
+    return propagate(exposure.sensor, shot, observation.uv, terrain, sources, atmosphere=exposure.atmosphere)
+
+
+def _by_option(propagation: Any) -> dict[str, float]:
+    """Share of each option's standard deviations in the horizontal variance of a fix."""
+    jacobian = np.asarray(propagation.jacobian)[:2]
+    total = float(np.trace(np.asarray(propagation.cov_enu)[:2, :2]))
+    shares: dict[str, float] = {}
+    if not (np.isfinite(total) and total > 0.0):
+        return shares
+    for source, place in propagation.model.parts():
+        cov, columns = np.asarray(source.covariance()), jacobian[:, place]
+        each = np.sum(columns * (columns @ cov), axis=0)  # of independent axes; their sum is exact for others
+        for option, variance in zip(_options_of(source), each, strict=True):
+            shares[option] = shares.get(option, 0.0) + float(variance) / total
+    return shares
+
+
+def _options_of(source: Any) -> list[str]:
+    """The option of each axis of a source, empty if there is none."""
+    kind = type(source).__name__
+    if kind == "InteriorOrientation":
+        return ["--focal-sigma" if axis.startswith("focal") else "--principal-sigma" for axis in source.axes]
+    return [OF_SOURCE.get(kind, "")] * len(source.axes)

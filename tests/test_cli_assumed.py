@@ -1,0 +1,116 @@
+"""Assumptions on the terminal: grouped, complete, and first those that make the accuracy."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import pytest
+from support.command_files import prepare
+from support.command_runner import CliRunner
+
+from jaxgeo.cli import app
+from jaxgeo.cli._assumed import NAMED, print_assumed, told_shares
+from jaxgeo.io import read_observations
+from jaxgeo.terrain import ConstantHeight
+from jaxgeo.uncertainty import accuracy, budget, sources
+
+GROUND = ["--ground", "300", "--camera-datum", "ellipsoid"]
+SIGMAS = {
+    "--position-sigma": "0.02",
+    "--gimbal-sigma": "0.1",
+    "--focal-sigma": "5px",
+    "--principal-sigma": "5px",
+    "--dem-sigma": "1",
+}
+GROUPED = [
+    ("Yaw is taken to be from true north.", "Yaw is taken to be from true north."),
+    ("Position sigma: 3, 3, 5 m (N, E, D; default). (--position-sigma)", "position 3, 3, 5 m (N, E, D; default)"),
+    ("DEM height sigma: 5 m (default). (--dem-sigma)", "DEM height 5 m (default) (--dem-sigma)"),
+    ("reference position sigma: 2 m, one cell (--reference-sigma)", "reference position 2 m, one cell"),
+    ("2 of 5 state no position accuracy; position sigma there: 3 m. (--position-sigma)", "2 of 5 state no position"),
+]
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory) -> pathlib.Path:
+    folder = tmp_path_factory.mktemp("images")
+    prepare(folder, "DJI_0042.JPG")
+    return folder / "DJI_0042.JPG"
+
+
+def locate(*arguments: str | pathlib.Path):
+    result = CliRunner().invoke(app, ["locate", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def test_assumptions_are_two_notes_that_keep_every_fact(capsys: pytest.CaptureFixture[str]) -> None:
+    print_assumed([sentence for sentence, _ in GROUPED])
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert all(line.startswith("jaxgeo: assumed: ") for line in lines)
+    for sentence, words in GROUPED:
+        (line,) = [line for line in lines if words in line]
+        assert sentence.rpartition("(")[2] in line, "its option"
+
+
+def test_items_without_an_option_have_no_full_stop(capsys: pytest.CaptureFixture[str]) -> None:
+    print_assumed(["Position sigma: 3 m (default).", "Gimbal angle sigma: 1 deg (yaw; default)."])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("assumed: Standard deviations: position 3 m (default); gimbal angle 1 deg (yaw; default).")
+
+
+@pytest.mark.costly
+def test_the_shares_of_assumed_sigmas_are_those_of_the_budget(image: pathlib.Path) -> None:
+    told = json.loads(locate(image, *GROUND, "--pixel", "10,20", "--json").stdout)
+    observed = read_observations([image], [(10.0, 20.0)], height_datum="ellipsoid")
+    look, errors = observed.add_sources(sources.TerrainHeight.from_metres(10.0)).at(0)
+    of_fix = budget(
+        accuracy(look.exposure.sensor, look.exposure.motion, look.uv, ConstantHeight(300.0), errors)  # pyright: ignore
+    )
+    by_label = {one.label: one.variance.horizontal / of_fix.total.horizontal for one in of_fix.sources}
+    shares = told["assumed_variance_shares"]
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    assert set(shares) == set(SIGMAS)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    for option, label in [
+        ("--position-sigma", "position"),
+        ("--gimbal-sigma", "gimbal angles"),
+        ("--dem-sigma", "terrain height"),
+    ]:
+        assert shares[option] == pytest.approx(by_label[label], rel=1e-6)
+
+
+@pytest.mark.costly
+def test_the_sentence_names_options_which_end_it(image: pathlib.Path) -> None:
+    """Of one pixel and of several; with all standard deviations given there is nothing to say."""
+    for pixels in ([], ["--pixel", "10,10", "--pixel", "2000,1500"]):
+        told = locate(image, *GROUND, *pixels).stderr
+        (line,) = [line for line in told.splitlines() if "comes mostly from assumed" in line]
+        assert ("median" in line) == bool(pixels)
+        named = [option for option in NAMED if f"({option})" in line]
+        assert named
+        assert told.index("comes mostly") < told.index(" hit: "), "before the result"
+    given = [word for option, value in SIGMAS.items() for word in (option, value)]
+    assert "comes mostly" not in locate(image, *GROUND, *given).stderr
+
+
+def test_small_shares_are_not_worth_a_sentence() -> None:
+    assert told_shares({}, 0.9) is None
+    assert told_shares({"--dem-sigma": 0.3}, 0.9) is None
+    said = told_shares({"--dem-sigma": 0.55, "--position-sigma": 0.05}, 0.5)
+    assert said is not None
+    assert "CE50" in said
+    assert "--dem-sigma" in said
+    assert "--position-sigma" not in said
+
+
+@pytest.mark.costly
+def test_a_report_says_it_above_the_result(image: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    output = tmp_path / "report.html"
+    result = CliRunner().invoke(app, ["report", str(image), *GROUND, "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    page = output.read_text()
+    assert "comes mostly from assumed" in result.stderr
+    assert page.index('class="notice">CE90 comes mostly') < page.index('class="headline place"')
