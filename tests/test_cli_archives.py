@@ -109,6 +109,16 @@ LONG = ("register",)  # whose image is rendered first
 OF_BOUNDS = ("study gu2017",)  # for which an extent must be given
 
 
+def place_of(asked: dict[str, Any]) -> tuple[float, float]:
+    """(lat, lon) in deg of the first line of sight for which an archive was asked, or of the middle of its bounds."""
+    if asked["rays"] is None:
+        west, south, east, north = asked["bounds"]
+        return 0.5 * (south + north), 0.5 * (west + east)
+    origin = np.concatenate([np.asarray(ray.origin) for ray in asked["rays"].rays])
+    lat, lon, _ = jaxgeo.WGS84.to_geodetic(jnp.asarray(origin[0])).to_degrees()
+    return float(lat), float(lon)
+
+
 @pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
@@ -117,7 +127,7 @@ OF_BOUNDS = ("study gu2017",)  # for which an extent must be given
 def test_every_command_with_a_dem_takes_an_archive(
     name: str, home: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With its lines of sight, which come down near the scene, and the options of the archive."""
+    """With its lines of sight, which come down near the scene, or the place of take-off, and the archive's options."""
     asked: dict[str, Any] = {}
 
     def fetch_dem(archive: str, **how: Any) -> None:
@@ -135,10 +145,9 @@ def test_every_command_with_a_dem_takes_an_archive(
         assert "reached" in plain.stderr
         assert asked["archive"] == "copernicus"
         assert (asked["mirror"], asked["proxy"], asked["offline"]) == ("http://host", "http://proxy:1", True)
-        origin = np.concatenate([np.asarray(ray.origin) for ray in asked["rays"].rays])
-        lat, lon, _ = jaxgeo.WGS84.to_geodetic(jnp.asarray(origin[0])).to_degrees()
-        assert abs(float(lat) - 36.3) < 0.2
-        assert abs(float(lon) + 84.2) < 0.2
+        lat, lon = place_of(asked)
+        assert abs(lat - 36.3) < 0.2
+        assert abs(lon + 84.2) < 0.2
     asked.clear()
     bounded = run(f"{line} --dem-bounds -85,36,-84,37")
     assert "reached" in bounded.stderr

@@ -15,7 +15,7 @@ from jaxgeo._checks import enable_x64
 from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, ReadingOptions, reading_files
 from jaxgeo.cli._archive_dem import is_archive
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._inputs import check_goes_with_dem, open_terrain, read_terrain
+from jaxgeo.cli._inputs import bounds_in, check_goes_with_dem, open_terrain, read_terrain
 from jaxgeo.cli._options import READING, DemOptions
 from jaxgeo.cli._screen import print_note
 
@@ -141,11 +141,19 @@ def _first_exposure(
     return (f"exposure {name} of {observed.source}" if name.isdigit() else name), lat, lon
 
 
+def _is_within(bounds: tuple[float, float, float, float] | None, lat: float, lon: float) -> bool:
+    """Whether a place in deg is within an extent (west, south, east, north), which may cross the date line."""
+    if bounds is None:
+        return False
+    west, south, east, north = bounds
+    return south < lat < north and 0.0 < (lon - west) % 360.0 < (east - west) % 360.0
+
+
 def _height_under(dem: list[str], of_dem: DemOptions, lat: float, lon: float) -> float:
     """The height in m above the ellipsoid of an elevation model at a place; NaN beside it and in voids."""
     from jaxgeo.earth import Geodetic
 
-    if is_archive(dem):
+    if is_archive(dem) and not _is_within(bounds_in(of_dem), lat, lon):
         across = BESIDE / max(math.cos(math.radians(lat)), 0.01)
         edges = f"{lon - across:.8f},{lat - BESIDE:.8f},{lon + across:.8f},{lat + BESIDE:.8f}"
         of_dem = dataclasses.replace(of_dem, dem_bounds=edges)
