@@ -34,3 +34,19 @@ def test_a_piece_ends_at_the_next_line_even_where_the_track_turns_just_behind_it
     for place in (begin, end):
         assert np.all(place > cell - beyond - ON_A_LINE)
         assert np.all(place < cell + 1.0 + beyond + ON_A_LINE)
+
+
+def test_bounds_of_a_track_hold_between_its_ends() -> None:
+    """Deviation from the chord of any section, and slope; both are reached by some."""
+    random = np.random.default_rng(1)
+    begin, end = np.sort(random.uniform(-1.0, 1.0, (2, COUNT)), axis=0)
+    coefficients = random.normal(size=(5, COUNT)) * random.choice([0.0, 1.0], (5, COUNT))
+    axis, share = Quartic(*map(jnp.asarray, coefficients)), np.linspace(0.0, 1.0, 33)[:, None]
+    tau = begin + share * (end - begin)
+    at, slope = (jax.vmap(jax.vmap(each), (None, 0)) for each in (Quartic.at, Quartic.slope))
+    first, *_, last = values = np.asarray(at(axis, jnp.asarray(tau)))
+    away = np.max(np.abs(values - (first + share * (last - first))), axis=0)
+    away /= np.asarray(jax.vmap(Quartic.sag)(axis)) * (end - begin) ** 2 + 1e-12
+    assert 0.999 < away.max() <= 1.0 + 1e-9
+    steep = np.max(np.abs(slope(axis, jnp.asarray(tau))), axis=0) / (np.asarray(jax.vmap(Quartic.speed)(axis)) + 1e-12)
+    assert 0.99 < steep.max() <= 1.0 + 1e-9

@@ -13,6 +13,7 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot
+from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sample, sources
 from jaxgeo.uncertainty.linear import AXES, derivatives
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -111,6 +112,8 @@ def test_terrain_height_moves_the_hit_by_the_tangent_of_the_incidence() -> None:
     aside = math.sqrt(float(np.trace(result.cov_enu[:2, :2])))
     assert aside == pytest.approx(2.0 * math.tan(float(result.fix.incidence_ellipsoid)), abs=1e-6)
     assert float(result.cov_enu[2, 2]) == pytest.approx(4.0, abs=1e-6)
+    up = np.asarray(R_ecef_from_enu(result.fix.position))[:, 2]  # the same variance along the vertical in ECEF
+    assert float(up @ np.asarray(result.cov_ecef) @ up) == pytest.approx(4.0, abs=1e-6)
 
 
 class _Rough(AbstractSlope):
