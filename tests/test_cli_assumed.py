@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import pathlib
 
+import jax
+import numpy as np
 import pytest
 from support.command_files import prepare
 from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._assumed import NAMED, print_assumed, told_shares
-from jaxgeo.io import read_observations
+from jaxgeo.io import accuracy_of_observations, locate_observations, read_observations
+from jaxgeo.io.located import horizontal_variances
 from jaxgeo.terrain import ConstantHeight
-from jaxgeo.uncertainty import accuracy, budget, sources
+from jaxgeo.uncertainty import accuracy, budget, propagate, sources
 
 GROUND = ["--ground", "300", "--camera-datum", "ellipsoid"]
 SIGMAS = {
@@ -80,6 +83,30 @@ def test_the_shares_of_assumed_sigmas_are_those_of_the_budget(image: pathlib.Pat
         ("--dem-sigma", "terrain height"),
     ]:
         assert shares[option] == pytest.approx(by_label[label], rel=1e-6)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("pixels", [1, 3])
+def test_the_variances_are_those_of_the_propagation_and_compile_nothing(image: pathlib.Path, pixels: int) -> None:
+    several = [(10.0, 20.0), (2000.0, 1500.0), (100.0, 2900.0)][:pixels]
+    observed = read_observations([image] * pixels, several, height_datum="ellipsoid")
+    observed, ground = observed.add_sources(sources.TerrainHeight.from_metres(10.0)), ConstantHeight(300.0)
+    fixes = locate_observations(observed, ground)
+    assert accuracy_of_observations(observed, ground, fixes) is not None
+    compiled: list[str] = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, _, **__: compiled.append(event) if event.endswith("backend_compile_duration") else None
+    )
+    for row in range(pixels):
+        found, variances = horizontal_variances(observed, ground, fixes, row)
+        assert not compiled
+        look, errors = observed.at(row)
+        alone = propagate(look.exposure.sensor, look.exposure.motion, look.uv, ground, errors)  # pyright: ignore
+        compiled.clear()
+        assert len(variances) == sum(len(one.axes) for one in found) == alone.model.size
+        J, cov = np.asarray(alone.jacobian)[:2], np.asarray(alone.cov_error)
+        np.testing.assert_allclose(variances, np.diag(cov) * (J**2).sum(axis=0), rtol=1e-6)
+        assert variances.sum() == pytest.approx(float(np.trace(alone.cov_enu[:2, :2])))
 
 
 @pytest.mark.costly

@@ -56,15 +56,28 @@ def _as_item(text: str) -> str:
 def assumed_shares(inputs: LocateInputs, found: Accuracy | None) -> dict[str, float]:
     """Shares of assumed standard deviations in the horizontal variance of the fix with the median CE, by option,
     largest first; empty if all are stated, or without accuracy."""
+    from jaxgeo.io.located import horizontal_variances
+
     options = {option for one in inputs.assumed for option in OF_SIGMA.findall(one)}
-    propagation = _propagation(inputs, found) if options and found is not None else None
-    if propagation is None:
+    row = _median_row(found) if options and found is not None else None
+    if found is None or row is None:
+        return {}
+    sources, variances = horizontal_variances(inputs.observed, inputs.grounds, found.fix, row)
+    total = float(variances.sum())
+    if not (np.isfinite(total) and total > 0.0):
         return {}
     shares: dict[str, float] = {}
-    for option, share in _by_option(propagation).items():
+    for option, variance in zip([one for source in sources for one in _options_of(source)], variances, strict=True):
         if option in options:
-            shares[option] = share
+            shares[option] = shares.get(option, 0.0) + float(variance) / total
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def _median_row(found: Accuracy) -> int | None:
+    """The row of the fix with the median circular error; None without one."""
+    circular = np.asarray(found.circular)
+    rows = np.flatnonzero(np.isfinite(circular))
+    return int(rows[np.argsort(circular[rows], kind="stable")[len(rows) // 2]]) if rows.size else None
 
 
 def told_shares(shares: dict[str, float], probability: float, *, count: int = 1) -> str | None:
@@ -83,45 +96,6 @@ def told_shares(shares: dict[str, float], probability: float, *, count: int = 1)
         f"{name} comes mostly from assumed standard deviations: {100.0 * total:.0f} % of the horizontal "
         f"variance{where}: {', '.join(texts)}. Give your own with these options."
     )
-
-
-def _propagation(inputs: LocateInputs, found: Accuracy | None) -> Any:
-    """Linear propagation at the fix with the median circular error; None without one."""
-    from jaxgeo.io.located import batches_with_terrain, terrain_at
-    from jaxgeo.terrain import AbstractTerrain
-    from jaxgeo.uncertainty import propagate
-
-    assert found is not None
-    if found.propagation is not None:
-        return found.propagation
-    circular = np.asarray(found.circular)
-    rows = np.flatnonzero(np.isfinite(circular))
-    if not rows.size:
-        return None
-    row = int(rows[np.argsort(circular[rows], kind="stable")[len(rows) // 2]])
-    number, index = inputs.observed.place(row)
-    grounds = [ground for _, ground in batches_with_terrain(inputs.observed, inputs.grounds)]
-    terrain = terrain_at(grounds[number], index)
-    assert isinstance(terrain, AbstractTerrain)
-    observation, sources = inputs.observed.at(row)
-    exposure = observation.exposure
-    shot: Any = exposure.motion
-    return propagate(exposure.sensor, shot, observation.uv, terrain, sources, atmosphere=exposure.atmosphere)
-
-
-def _by_option(propagation: Any) -> dict[str, float]:
-    """Share of each option's standard deviations in the horizontal variance of a fix."""
-    jacobian = np.asarray(propagation.jacobian)[:2]
-    total = float(np.trace(np.asarray(propagation.cov_enu)[:2, :2]))
-    shares: dict[str, float] = {}
-    if not (np.isfinite(total) and total > 0.0):
-        return shares
-    for source, place in propagation.model.parts():
-        cov, columns = np.asarray(source.covariance()), jacobian[:, place]
-        each = np.sum(columns * (columns @ cov), axis=0)  # of independent axes; their sum is exact for others
-        for option, variance in zip(_options_of(source), each, strict=True):
-            shares[option] = shares.get(option, 0.0) + float(variance) / total
-    return shares
 
 
 def _options_of(source: Any) -> list[str]:

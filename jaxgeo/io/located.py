@@ -20,6 +20,8 @@ from jaxgeo.status import Status, have_fix
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty import Accuracy, Sampling, accuracy
 from jaxgeo.uncertainty._accuracy import SAMPLES
+from jaxgeo.uncertainty.many_exposures import variances_by_axis
+from jaxgeo.uncertainty.sources import AbstractSource
 
 CHUNKS = (1, 16, 1024)  # fixes computed at a time: few shapes, few compilations
 FEW = 20  # up to this many fixes, each gets the full number of samples
@@ -94,24 +96,38 @@ def located_with_accuracy(
     return fix, dataclasses.replace(found, fix=fix, **_arrays(found)) if have_fix(fix.status).all() else None
 
 
+def horizontal_variances(
+    observed: Observations, terrain: Terrain, fixes: Fix, row: int
+) -> tuple[tuple[AbstractSource, ...], np.ndarray]:
+    """(error sources of a row, horizontal variance in m2 of its fix by each axis of their errors).
+
+    By linear propagation with the programs of `accuracy_of_observations`; raises as `Observations.place`.
+    """
+    number, place = observed.place(row)
+    batch, ground = list(batches_with_terrain(observed, terrain))[number]
+    index = np.flatnonzero(have_fix(fixes.status)[batch.rows])
+    given, in_axes, atmosphere = _arguments(batch, ground, index)
+    at = int(np.searchsorted(index, place))
+    return batch.at(place)[1], variances_by_axis((*given, None, atmosphere), in_axes, at)
+
+
 def _accuracy_of(
     batch: ObservationBatch, ground: AbstractTerrain, index: np.ndarray, probability: float, sampling: Sampling
 ) -> Accuracy:
     """Accuracy of several rows of a batch."""
+    given, in_axes, atmosphere = _arguments(batch, ground, index)
+    return accuracy(*given, in_axes=in_axes, probability=probability, sampling=sampling, atmosphere=atmosphere)
+
+
+def _arguments(
+    batch: ObservationBatch, ground: AbstractTerrain, index: np.ndarray
+) -> tuple[tuple[Any, ...], tuple[int | None, ...], Any]:
+    """(sensor, shot, uv, terrain and errors; their axes; atmosphere) of several rows of a batch."""
     observation, sources = batch.at(index)
     exposure, own = observation.exposure, None if batch.is_one_camera else 0
     assert isinstance(exposure.motion, Shot)
-    return accuracy(
-        exposure.sensor,
-        exposure.motion,
-        observation.uv,
-        terrain_at(ground, index),
-        sources,
-        in_axes=(own, 0, 0, axis_of(ground), own),
-        probability=probability,
-        sampling=sampling,
-        atmosphere=exposure.atmosphere,
-    )
+    given = exposure.sensor, exposure.motion, observation.uv, terrain_at(ground, index), sources
+    return given, (own, 0, 0, axis_of(ground), own), exposure.atmosphere
 
 
 def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain, *, size: int | None = None) -> Iterator[Fix]:

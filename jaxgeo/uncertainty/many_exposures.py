@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, is_known
 from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks
+from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._typing import Scalar
 from jaxgeo.fix import Fix
 from jaxgeo.sensor import Shot
@@ -20,13 +21,14 @@ from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
 from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
 from jaxgeo.uncertainty.linear import OverSlope, derivatives
 from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii, select_known
-from jaxgeo.uncertainty.many_fixes import Assessed, Normality, Perturbed, assess_blocks, size_of_blocks
-from jaxgeo.uncertainty.map_cells import Request
-from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose
+from jaxgeo.uncertainty.many_fixes import Assessed, Normality, Perturbed, assess_blocks, examine_block, size_of_blocks
+from jaxgeo.uncertainty.map_cells import Request, check_block, check_level
+from jaxgeo.uncertainty.method_selection import LEVEL, NO_FIX, Diagnostics, Method, diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, located_apart, nominal_fix_of, of_arrays
 from jaxgeo.uncertainty.normality import is_normal_over
 from jaxgeo.uncertainty.sampled import sample_where_needed
+from jaxgeo.uncertainty.sampling import Sampling
 
 NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
 OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
@@ -54,6 +56,10 @@ class Batch(NamedTuple):
         """The arguments of one exposure."""
         return _merge(take(self.lanes, index), self.shared, self.axes)
 
+    def repeated(self, index: int, count: int) -> Batch:
+        """`count` times one exposure."""
+        return self._replace(given=_merge(take(self.lanes, np.full(count, index)), self.shared, self.axes))
+
 
 def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Request) -> Accuracy:
     """`accuracy` of n exposures, of arguments in the order of `NAMES`; traced ones are evaluated all at once."""
@@ -80,6 +86,29 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
     columns = sample_where_needed(found.method, radii, observation_at, request.search, sampling, probability)
     linear = (found.method, found.cov_enu, found.bias_enu, found.diagnostics)
     return batch_of(nominals.fix, probability, columns, *linear, int(sampling.count or 0), (number,), note)
+
+
+def variances_by_axis(given: tuple[Any, ...], in_axes: Axes, index: int) -> np.ndarray:
+    """Horizontal variance in m2 of one of n fixes by each axis of its errors (axes,), by linear propagation over the
+    facet; NaN without a fix.
+
+    Compiles nothing after `accuracy` of the same exposures: its programs assess the one, repeated, as a block of them.
+    Axes share what they vary together in equal parts.
+    """
+    batch, number = check_batch(given, in_axes, FIRST_HIT)
+    if number == 1:
+        inputs, model = inputs_of(batch.at(0))
+        found = diagnose(inputs, inputs.nominal_fix(FIRST_HIT), model).facet
+        jacobian, cov = np.asarray(found.jacobian), np.asarray(found.cov_error)
+    else:
+        same = batch.repeated(index, min(number, ROWS))
+        request = Request(check_level(LEVEL), Sampling(), FIRST_HIT, size_of_blocks(number, check_block(None)))
+        lanes = take((same.lanes, _located(same, min(number, ROWS), request)), np.zeros(request.block, int))
+        perturbed, terrain, _ = _perturbed(*lanes, same, FIRST_HIT)
+        facet = examine_block(perturbed, terrain, same.axes[NAMES.index("terrain")]).facet
+        size = batch.given[NAMES.index("errors")].size
+        jacobian, cov = np.asarray(facet.jacobian)[0, :, :size], np.asarray(perturbed.shared.cov_error)[0, :size, :size]
+    return np.sum(jacobian[:2] * (jacobian[:2] @ cov), axis=0)
 
 
 def check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -> tuple[Batch, int]:

@@ -93,7 +93,7 @@ def _assess(
 ) -> tuple[NominalFix, LinearAccuracy, tuple[np.ndarray, np.ndarray]]:
     """(nominal fixes, accuracy, circular and linear error over the plane of the method) of a block."""
     nominal = perturbed.nominal
-    found = _examine_block(perturbed, terrain, terrain_axis)
+    found = examine_block(perturbed, terrain, terrain_axis)
     cov, bias = np.asarray(found.cov_enu), np.asarray(found.bias_enu)
     circular, linear = _in_plane(cov, np.asarray(LEVEL), bias)
     diagnostics = diagnostics_of(found, (*circular.T, *linear.T))
@@ -115,7 +115,9 @@ def _assess(
 
 
 @batch_filter_jit
-def _examine_block(perturbed: Perturbed, terrain: AbstractTerrain, terrain_axis: int | None) -> Examined:
+def examine_block(perturbed: Perturbed, terrain: AbstractTerrain, terrain_axis: int | None) -> Examined:
+    """What selects the method of each of n fixes."""
+
     def one(each: Perturbed, terrain: AbstractTerrain) -> Examined:
         nominal, shared = each
         return examine(terrain, nominal, shared.sweep(terrain, nominal), shared.cov_error)
