@@ -94,9 +94,12 @@ def test_the_variances_are_those_of_the_propagation_and_compile_nothing(image: p
     fixes = locate_observations(observed, ground)
     assert accuracy_of_observations(observed, ground, fixes) is not None
     compiled: list[str] = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda event, _, **__: compiled.append(event) if event.endswith("backend_compile_duration") else None
-    )
+
+    def note(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event.endswith("backend_compile_duration"):
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
     for row in range(pixels):
         found, variances = horizontal_variances(observed, ground, fixes, row)
         assert not compiled
