@@ -16,8 +16,8 @@ from jax.interpreters import mlir
 from jax.sharding import PartitionSpec
 
 SWITCH = "JAXGEO_NATIVE"  # environment variable; 0: the package is not used; avx2, plain: with vectors no wider
-INTERFACE = 1  # of the arrays that the native search takes
-TARGET = f"jaxgeo_first_events_{INTERFACE}"
+INTERFACE = 2  # of the arrays that the native search takes
+TARGETS = {name: f"jaxgeo_{name}_{INTERFACE}" for name in ("first_events", "first_hits")}
 T = TypeVar("T")
 
 _lock = threading.Lock()
@@ -41,7 +41,8 @@ def _registered() -> str | None:
 
         if jaxgeo_native.INTERFACE != INTERFACE:
             raise RuntimeError(f"it has interface {jaxgeo_native.INTERFACE}, and this version of jaxgeo {INTERFACE}")
-        jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(jaxgeo_native.function()), platform="cpu")
+        for name, function in jaxgeo_native.functions().items():
+            jax.ffi.register_ffi_target(TARGETS[name], jax.ffi.pycapsule(function), platform="cpu")
     except ImportError:
         return None
     except Exception as error:  # of another version of XLA, or another processor; or its source alone is found

@@ -1,4 +1,4 @@
-"""The compiled ray-terrain search of jaxgeo, as a target that XLA calls on CPUs.
+"""The compiled ray-terrain search of jaxgeo, as targets that XLA calls on CPUs.
 
 `jaxgeo` finds this package where it is installed; nothing here is called directly.
 """
@@ -9,12 +9,13 @@ import ctypes
 import pathlib
 from typing import Any
 
-INTERFACE = 1  # of the arrays that the target takes; jaxgeo uses the interface that it knows only
+INTERFACE = 2  # of the arrays that the targets take; jaxgeo uses the interface that it knows only
 FILE = next(pathlib.Path(__file__).parent.glob("jaxgeo_native.*"))  # .so, or .dylib
 
-__all__ = ["FILE", "INTERFACE", "function"]
+__all__ = ["FILE", "INTERFACE", "functions"]
 
 
-def function() -> Any:
-    """The handler, a function of the C interface of XLA."""
-    return ctypes.CDLL(str(FILE)).jaxgeo_first_events
+def functions() -> dict[str, Any]:
+    """The handlers by name, functions of the C interface of XLA."""
+    library = ctypes.CDLL(str(FILE))
+    return {name: getattr(library, f"jaxgeo_{name}") for name in ("first_events", "first_hits")}

@@ -54,17 +54,40 @@ struct Events {
   int32_t* cells[2];
 };
 
-using Walk = void (*)(const Terrain&, const Tracks&, const Events&, int64_t first, int64_t last);
+// Rows and columns affine in longitude and latitude, see `GeographicGrid`: the centre's place, the sine and cosine of
+// its longitude and latitude, the inverse of the steps, and the lengths in m of a step in row and in col.
+struct GeographicGrid {
+  double row0, col0, sine_lon0, cosine_lon0, sine_lat0, cosine_lat0, inverse[2][2], cell_size[2];
+};
 
-constexpr int64_t CHUNK = 1024;  // rays that one call of a walk takes at most
+// Straight rays (ECEF, by point) and the section of each that a walk covers, see `Way`. `passed`, `length`: that of its
+// first track, in m.
+struct Rays {
+  const double *origins, *directions, *passed, *lengths, *ends, *firsts, *lasts;
+  GeographicGrid grid;
+};
 
-#define JAXGEO_DECLARE_WALK(name) \
-  namespace name {                \
-  void walk(const Terrain&, const Tracks&, const Events&, int64_t first, int64_t last); \
+// Results of rays walked to their ends: as of `Events`, with ranges in m in place of taus; the number of tracks, and
+// whether the end of the last one is above the ceiling.
+struct Hits {
+  int32_t* news;
+  double* ranges[3];
+  int32_t *cells[2], *tracks;
+  bool* is_above;
+};
+
+constexpr int64_t CHUNK = 1024;  // rays that one call takes at most
+
+// For each instruction set: walks along given tracks; and along those that rays need, one after the other, where the
+// first ones are given for rays with `here` >= 0 and -1 requests one (-2: a ray without a walk).
+#define JAXGEO_DECLARE_WALKS(name)                                                                               \
+  namespace name {                                                                                               \
+  void walk(const Terrain&, const Tracks&, const Events&, int64_t first, int64_t last);                          \
+  void follow(const Terrain&, const Rays&, const Tracks&, const Hits&, int64_t first, int64_t last);             \
   }
-JAXGEO_DECLARE_WALK(plain)
-JAXGEO_DECLARE_WALK(avx2)
-JAXGEO_DECLARE_WALK(avx512)
-#undef JAXGEO_DECLARE_WALK
+JAXGEO_DECLARE_WALKS(plain)
+JAXGEO_DECLARE_WALKS(avx2)
+JAXGEO_DECLARE_WALKS(avx512)
+#undef JAXGEO_DECLARE_WALKS
 
 }  // namespace jaxgeo

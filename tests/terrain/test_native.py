@@ -222,7 +222,7 @@ def test_terrains_that_it_does_not_know_are_searched_in_jax() -> None:
     rays = all_rays(dem, 64, seed=6)
     for other in (half, dem.with_field(waves)):
         text = _by_native.lower(rays, other, None, None).as_text()
-        assert _native.TARGET not in text
+        assert all(target not in text for target in _native.TARGETS.values())
 
 
 @needs_native
@@ -249,9 +249,9 @@ def test_exported_functions_need_no_native_search() -> None:
     dem = TERRAINS["float64, tangent"]()
     rays = all_rays(dem, 64, seed=8)
     function = jax.jit(jax.vmap(intersect, in_axes=(0, None)))
-    assert _native.TARGET in function.lower(rays, dem).as_text()
+    assert _native.TARGETS["first_events"] in function.lower(rays, dem).as_text()
     exported = jax.export.export(function)(rays, dem)
-    assert _native.TARGET not in exported.mlir_module()
+    assert all(target not in exported.mlir_module() for target in _native.TARGETS.values())
     np.testing.assert_array_equal(exported.call(rays, dem).status, function(rays, dem).status)
 
 
@@ -263,7 +263,7 @@ def test_it_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not _native.is_native()
     apart = jax.jit(jax.vmap(lambda ray: intersect(ray, dem)))  # not traced before
     text = apart.lower(rays).as_text()
-    assert _native.TARGET not in text
+    assert all(target not in text for target in _native.TARGETS.values())
 
 
 OF_TWO_DEVICES = """

@@ -1,7 +1,7 @@
 """First-hit walk by the native search of the package `jaxgeo_native`, over the same tracks as the walk in JAX.
 
-Tracks are made here, for any grid and for refracted rays. The native search
-walks each ray along its track to the first event or the track's end, in lanes of its own, and finds the root.
+Straight rays over geographic grids it walks to their ends. For other grids and for refracted rays tracks are made here;
+the native search walks each ray along its track to the first event or the track's end, and finds the root.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxgeo._native import TARGET
+from jaxgeo._native import TARGETS
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.field import AbstractField, BoundedField, ConstantField, LineField, SumField
+from jaxgeo.terrain.grid import GeographicGrid
 from jaxgeo.terrain.search.batched import at_start, listed
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.found import Found
@@ -46,10 +47,13 @@ def serves(ground: Ground) -> bool:
 def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> Found:
     """Walk a block of rays (leading axis) to their first events or ends.
 
-    Few rays need more than one track, or are not in the beam: they are walked apart, `LEFT` at a time.
+    Where tracks are made here, few rays need more than one, or are not in the beam: they are walked apart, `LEFT` at a
+    time.
     """
     count = way.start.shape[0]
     walker, track = at_start(ray, way, ground, beam)
+    if ray.bending is None and type(ground.shared.grid) is GeographicGrid:
+        return _followed(walker, track, ray, way, ground)
     if count <= FEW:
         return _to_the_end(walker, track, ray, way, ground)
     if beam is None:
@@ -68,6 +72,21 @@ def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> Found:
         return jax.tree.map(lambda x, new: x.at[index].set(new, mode="drop", unique_indices=True), found, new)
 
     return jax.lax.fori_loop(0, (left + LEFT - 1) // LEFT, some, found)
+
+
+def _followed(walker: Walker, track: Track, ray: Ray, way: Way, ground: Ground) -> Found:
+    """Straight rays over a geographic grid, walked to their ends natively."""
+    grid = ground.shared.grid
+    assert isinstance(grid, GeographicGrid)
+    rays = [ray.origin, ray.direction, walker.passed, walker.length, way.end, way.first, way.last]
+    map_ = [grid.rowcol0, grid.lonlat0, grid.step, grid.cell_size()]
+    args = [jnp.asarray(x, jnp.float64) for x in (*rays, *map_)]
+    here = jnp.where(walker.is_over, -2, jnp.where(walker.fresh, -1, walker.here))
+    number, integer, flag = (jax.ShapeDtypeStruct(here.shape, dtype) for dtype in (np.float64, np.int32, np.bool_))
+    results = [integer, number, number, number, integer, integer, integer, flag]
+    news, *ranges, row, col, tracks, is_above = _called("first_hits", results, args, track, here, walker, ground)
+    cell = jnp.stack([row, col], axis=1)
+    return Found(*ranges, cell=cell, news=news, tracks=tracks, is_above=is_above)
 
 
 def _to_the_end(walker: Walker, track: Track, ray: Ray, way: Way, ground: Ground) -> Found:
@@ -92,11 +111,13 @@ def _with_new_tracks(walker: Walker, track: Track, ray: Ray, ground: Ground, way
 def _one_round(walker: Walker, track: Track, way: Way, ground: Ground) -> tuple[Walker, Found]:
     """Every ray with a track walks to its first event, or to the track's end; there it requests the next one."""
     walks = ~walker.fresh & ~walker.is_over
-    heights, field = _heights(ground)
-    news, *taus, row, col = _first_events(walker, track, walks, ground.shared, heights, field)
+    here = jnp.where(walks, walker.here, -1)
+    number, integer = (jax.ShapeDtypeStruct(here.shape, dtype) for dtype in (np.float64, np.int32))
+    results = [integer, number, number, number, integer, integer]
+    news, *taus, row, col = _called("first_events", results, [], track, here, walker, ground)
     walker = eqx.tree_at(lambda w: (w.news, w.is_over), walker, (news, walker.is_over | happened(news)))
     cell = jnp.stack([row, col], axis=1)
-    found = jax.vmap(_found)(walker, track, taus, cell, jnp.broadcast_to(heights[0], news.shape))
+    found = jax.vmap(_found)(walker, track, taus, cell, jnp.broadcast_to(_heights(ground)[0], news.shape))
     onwards = jax.vmap(next_section)(walker, way)
     return jax.vmap(tree_where)(walks & ~happened(news), onwards, walker), found
 
@@ -107,34 +128,32 @@ def _found(walker: Walker, track: Track, taus: list[Scalar], cell: Int[Array, "2
     return Found(*ranges, cell=cell, news=walker.news, tracks=walker.tracks, is_above=is_above)
 
 
-def _first_events(
-    walker: Walker, track: Track, walks: Array, dem: Dem, heights: list[Any], field: tuple[list[Any], list[Any]]
+def _called(
+    name: str, results: list[Any], first: list[Array], track: Track, here: Array, walker: Walker, ground: Ground
 ) -> list[Array]:
-    """News, tau of begin, root and a later place below the surface, row and column of each ray's cell."""
-    constants, lines = field
+    """The `results` of a native function: of arrays of its own, then tracks and where they begin, and the terrain."""
+    dem, parts = ground.shared, _parts(eqx.combine(ground.own, ground.shared).field)
+    assert parts is not None
+    constants, lines = parts
     coefficients = jax.tree.leaves((track.row, track.col, track.height))
     flags = jnp.broadcast_to(jnp.asarray(dem.void, bool), dem.posts.shape), jnp.asarray(dem.has_void, bool)
     pyramid = jnp.asarray(dem.pyramid.bounds, jnp.uint16), dem.pyramid.base, dem.pyramid.step
-    numbers = [*pyramid[1:], *heights, *constants]
+    numbers = [*pyramid[1:], *_heights(ground), *constants]
     numbers += [part for line in lines for part in (line.values, line.first, line.step)]
-    places = [jnp.asarray(x, jnp.int32) for x in (jnp.where(walks, walker.here, -1), walker.news)]
-    args = [*coefficients, *places, dem.posts, *flags, jnp.asarray(dem.extent, jnp.int32), pyramid[0]]
+    places = [jnp.asarray(x, jnp.int32) for x in (here, walker.news)]
+    args = [*first, *coefficients, *places, dem.posts, *flags, jnp.asarray(dem.extent, jnp.int32), pyramid[0]]
     args += [jnp.asarray(x, jnp.float64) for x in numbers]  # the search takes the bytes of each array as of its kind
-    count = walker.here.shape
-    number, integer = jax.ShapeDtypeStruct(count, np.float64), jax.ShapeDtypeStruct(count, np.int32)
-    call = jax.ffi.ffi_call(TARGET, [integer, number, number, number, integer, integer])
+    call = jax.ffi.ffi_call(TARGETS[name], results)
     return list(call(*args, constants=np.int64(len(constants)), lines=np.int64(len(lines))))
 
 
-def _heights(ground: Ground) -> tuple[list[Any], tuple[list[Any], list[Any]]]:
-    """Ceiling, void ceiling and, with a field, its largest value in m, of each ray or of all; the field's parts."""
+def _heights(ground: Ground) -> list[Any]:
+    """Ceiling, void ceiling and, with a field, its largest value in m, of each ray or of all."""
 
     def of(dem: Dem) -> list[Any]:
         return [dem.ceiling, dem.void_top, *([] if dem.rise is None else [dem.rise])]
 
-    parts = _parts(eqx.combine(ground.own, ground.shared).field)
-    assert parts is not None
-    return ground.each(of) if jax.tree.leaves(ground.own) else of(ground.shared), parts
+    return ground.each(of) if jax.tree.leaves(ground.own) else of(ground.shared)
 
 
 def _parts(field: AbstractField | None) -> tuple[list[Any], list[LineField]] | None:
