@@ -326,13 +326,15 @@ class Batches:
         blocks = [[mapped[k][row] if k in mapped else x for k, x in enumerate(values)] for row in rows]
         is_mapped = "".join("-" if axis is None else "0" for axis in axes)
         with RARE_COLLECTION:
-            parts = [self._of_block(is_mapped, structure, block) for block in blocks]
+            run = self._runner(is_mapped, structure, blocks[0])
+            parts = [run(block) for block in blocks]
         return jax.tree.map(lambda *x: np.concatenate([np.asarray(part) for part in x])[:count], *parts)
 
-    def _of_block(self, axes: str, structure: Any, block: list[Any]) -> Any:
+    def _runner(self, axes: str, structure: Any, block: list[Any]) -> Callable[[list[Any]], Any]:
+        """The program of all blocks like this one."""
         folder = folder_in_use()
-        kept = folder and self._kept.call(folder, (axes, jax.tree.unflatten(structure, block)), {})
-        return kept() if kept else self._program(axes, structure, block)(block)
+        kept = folder and self._kept.find(folder, (axes, jax.tree.unflatten(structure, block)), {})
+        return kept or self._program(axes, structure, block)
 
     def _program(self, axes: str, structure: Any, block: list[Any]) -> Any:
         """The compiled program, which a `jit` would compile again under each `vmap` of another size."""
