@@ -97,13 +97,23 @@ def _intersected(rays: Ray, dem: Dem, air: Any, field: Any, search: FirstHit) ->
     return jax.vmap(one)(rays, field)
 
 
-def assert_same(rays: Ray, dem: Dem, *, air: Any = None, field: Any = None) -> None:
+def assert_same(rays: Ray, dem: Dem, *, air: Any = None, field: Any = None, **limits: float) -> None:
     """The native search's results and those of JAX."""
     found = _by_native(rays, dem, air, field)
-    assert_as_in_jax(found.status, found.slant_range, rays, dem, air, field)
+    assert_as_in_jax(found.status, found.slant_range, rays, dem, air, field, **limits)
 
 
-def assert_as_in_jax(status: Any, slant_range: Any, rays: Ray, dem: Dem, air: Any = None, field: Any = None) -> None:
+def assert_as_in_jax(
+    status: Any,
+    slant_range: Any,
+    rays: Ray,
+    dem: Dem,
+    air: Any = None,
+    field: Any = None,
+    *,
+    same: float = SAME,
+    most_ties: float = 1e-5,
+) -> None:
     """Of every ray: the status, and the point but for rounding times the slowness of approach.
 
     Ties are left out: rays that have another result in JAX too, over ground that is a little higher or lower.
@@ -112,12 +122,12 @@ def assert_as_in_jax(status: Any, slant_range: Any, rays: Ray, dem: Dem, air: An
     status, slant_range = np.asarray(status), np.asarray(slant_range)
     apart = np.abs(slant_range - np.asarray(expected.slant_range))
     steepness = np.abs(np.cos(np.asarray(expected.incidence_surface)))
-    differs = (status != np.asarray(expected.status)) | (apart * steepness > SAME)
+    differs = (status != np.asarray(expected.status)) | (apart * steepness > same)
     differs |= np.isnan(slant_range) != np.isnan(np.asarray(expected.slant_range))
     ties = differs & _is_tie(rays, dem, air, field, expected) if differs.any() else differs
     print(f"{differs.sum()} differ, {ties.sum()} of them ties; {count_statuses(expected.status)}")
     assert np.flatnonzero(differs & ~ties).tolist() == []
-    assert ties.sum() <= 1e-5 * ties.size + 1
+    assert ties.sum() <= most_ties * ties.size + 1
 
 
 def _is_tie(rays: Ray, dem: Dem, air: Any, field: Any, expected: Any) -> np.ndarray:
@@ -335,8 +345,10 @@ def test_importing_jaxgeo_does_not_load_it() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["float64, tangent", "padded, voids with a ceiling", "float32, voids, geographic"])
 def test_a_million_rays(name: str) -> None:
+    """Ties are rays that start on the ceiling of a void, to within what coordinates in ECEF resolve: some hundred have
+    another status in JAX too if it is compiled with other options."""
     dem = TERRAINS[name]()
-    assert_same(all_rays(dem, 1_000_000, seed=10), dem)
+    assert_same(all_rays(dem, 1_000_000, seed=10), dem, same=1e-6, most_ties=1e-3)
 
 
 def few_rays(count: int = 4) -> tuple[Ray, Dem]:
