@@ -87,46 +87,85 @@ void by_chunks(ffi::ThreadPool& pool, int64_t rays, const Each& of_rays) {
   work->wait();
 }
 
-// The buffers of a call, one after the other.
+template <class T>
+constexpr ffi::DataType TYPE = ffi::DataType::INVALID;
+template <>
+constexpr ffi::DataType TYPE<double> = ffi::DataType::F64;
+template <>
+constexpr ffi::DataType TYPE<int32_t> = ffi::DataType::S32;
+template <>
+constexpr ffi::DataType TYPE<uint16_t> = ffi::DataType::U16;
+template <>
+constexpr ffi::DataType TYPE<bool> = ffi::DataType::PRED;
+
+// The buffers of a call, one after the other, for so many rays; `is_sound` is false from the first one on that is missing,
+// too small, or of another type.
 class Buffers {
  public:
-  explicit Buffers(ffi::RemainingArgs args) : args_(args) {}
+  Buffers(ffi::RemainingArgs args, int64_t rays) : args_(args), rays_(rays) {}
 
   ffi::AnyBuffer next() {
     auto buffer = args_.get<ffi::AnyBuffer>(number_++);
-    if (buffer.has_error()) {
-      is_sound_ = false;
-      static XLA_FFI_Buffer nothing{};
-      return ffi::AnyBuffer(&nothing);
-    }
-    return *buffer;
+    if (!buffer.has_error()) return *buffer;
+    is_sound_ = false;
+    static XLA_FFI_Buffer nothing{};
+    return ffi::AnyBuffer(&nothing);
+  }
+
+  // At least so many items.
+  template <class T>
+  const T* data(int64_t count) {
+    return items<T>(next(), count);
+  }
+
+  // At least so many items for each ray.
+  template <class T>
+  const T* of_rays(int64_t each = 1) {
+    return data<T>(each * rays_);
   }
 
   template <class T>
-  const T* data() {
-    return static_cast<const T*>(next().untyped_data());
+  T one() {
+    const T* value = data<T>(1);
+    return is_sound_ ? *value : T{};
   }
 
   // One number per ray, or one for all.
   Numbers numbers() {
     const auto buffer = next();
-    return {static_cast<const double*>(buffer.untyped_data()), buffer.dimensions().size() > 0 ? 1 : 0};
+    const int64_t stride = buffer.dimensions().size() > 0 ? 1 : 0;
+    return {items<double>(buffer, stride > 0 ? rays_ : 1), stride};
   }
 
   LineField line() {
     const auto values = next(), first = next(), step = next();
-    const auto stride = [](const ffi::AnyBuffer& x) {
-      return x.dimensions().size() > 1 ? static_cast<int64_t>(x.dimensions()[1]) : 0;
-    };
-    const auto of = [](const ffi::AnyBuffer& x) { return static_cast<const double*>(x.untyped_data()); };
-    return {of(values), of(first), of(step), values.dimensions().back(), stride(values), stride(first), stride(step)};
+    const int64_t nodes = values.dimensions().size() > 0 ? values.dimensions().back() : 0;
+    is_sound_ &= nodes > 0;
+    LineField line{nullptr, nullptr, nullptr, nodes, 0, 0, 0};
+    line.values = each(values, nodes, line.values_stride);
+    line.first = each(first, 2, line.first_stride);
+    line.step = each(step, 2, line.step_stride);
+    return line;
   }
 
   bool is_sound() const { return is_sound_; }
 
  private:
+  template <class T>
+  const T* items(const ffi::AnyBuffer& buffer, int64_t count) {
+    is_sound_ = is_sound_ && buffer.element_type() == TYPE<T> && static_cast<int64_t>(buffer.element_count()) >= count;
+    return static_cast<const T*>(buffer.untyped_data());
+  }
+
+  // So many numbers for each ray, or for all.
+  const double* each(const ffi::AnyBuffer& buffer, int64_t count, int64_t& stride) {
+    stride = buffer.dimensions().size() > 1 ? count : 0;
+    return items<double>(buffer, stride > 0 ? count * rays_ : count);
+  }
+
   ffi::RemainingArgs args_;
   size_t number_ = 0;
+  int64_t rays_;
   bool is_sound_ = true;
 };
 
@@ -144,8 +183,8 @@ bool kind_of(ffi::DataType type, Kind* kind) {
   }
 }
 
-// Texels before each level of a pyramid over the cells of an array of posts.
-void levels_of(Terrain& terrain) {
+// Texels before each level of a pyramid over the cells of an array of posts; their number in all is returned.
+int64_t levels_of(Terrain& terrain) {
   int32_t rows = terrain.rows - 1, cols = terrain.cols - 1, first = 0;
   terrain.top = 0;
   for (int level = 0; level < 32; ++level) {
@@ -156,7 +195,10 @@ void levels_of(Terrain& terrain) {
     cols = (cols + 1) / 2;
     terrain.top = level + 1;
   }
+  return first + 1;
 }
+
+const char* const OTHER_ARRAYS = "a native search was called with arrays of other sizes or types than it takes";
 
 // A terrain, and what holds the parts of its field.
 struct Ground {
@@ -168,19 +210,22 @@ struct Ground {
 ffi::Error read_ground(Buffers& buffers, int64_t constants, int64_t lines, Ground& ground) {
   Terrain& terrain = ground.terrain;
   const auto posts = buffers.next();
-  if (!buffers.is_sound() || posts.dimensions().size() != 2 || !kind_of(posts.element_type(), &terrain.kind))
+  if (!buffers.is_sound()) return ffi::Error::InvalidArgument(OTHER_ARRAYS);
+  const bool is_grid = posts.dimensions().size() == 2 && posts.dimensions()[0] > 1 && posts.dimensions()[1] > 1;
+  if (!is_grid || !kind_of(posts.element_type(), &terrain.kind))
     return ffi::Error::InvalidArgument("the posts of a native search must be an array of heights (rows, cols)");
   terrain.posts = posts.untyped_data();
   terrain.rows = static_cast<int32_t>(posts.dimensions()[0]);
   terrain.cols = static_cast<int32_t>(posts.dimensions()[1]);
-  terrain.voids = buffers.data<bool>();
-  terrain.has_void = *buffers.data<bool>();
-  const int32_t* extent = buffers.data<int32_t>();
+  terrain.voids = buffers.data<bool>(static_cast<int64_t>(posts.element_count()));
+  terrain.has_void = buffers.one<bool>();
+  const int32_t* extent = buffers.data<int32_t>(2);
+  if (!buffers.is_sound()) return ffi::Error::InvalidArgument(OTHER_ARRAYS);
   terrain.true_rows = extent[0];
   terrain.true_cols = extent[1];
-  terrain.bounds = buffers.data<uint16_t>();
-  terrain.base = *buffers.data<double>();
-  terrain.step = *buffers.data<double>();
+  terrain.bounds = buffers.data<uint16_t>(levels_of(terrain));
+  terrain.base = buffers.one<double>();
+  terrain.step = buffers.one<double>();
   terrain.ceiling = buffers.numbers();
   terrain.void_top = buffers.numbers();
   terrain.rise = {nullptr, 0};
@@ -191,21 +236,20 @@ ffi::Error read_ground(Buffers& buffers, int64_t constants, int64_t lines, Groun
   terrain.constant_count = static_cast<int32_t>(constants);
   terrain.lines = ground.lines.data();
   terrain.line_count = static_cast<int32_t>(lines);
-  levels_of(terrain);
-  return ffi::Error::Success();
+  return buffers.is_sound() ? ffi::Error::Success() : ffi::Error::InvalidArgument(OTHER_ARRAYS);
 }
 
 Tracks read_tracks(Buffers& buffers) {
   Tracks tracks;
-  for (auto& coefficients : tracks.coefficients) coefficients = buffers.data<double>();
-  tracks.here = buffers.data<int32_t>();
-  tracks.news = buffers.data<int32_t>();
+  for (auto& coefficients : tracks.coefficients) coefficients = buffers.of_rays<double>();
+  tracks.here = buffers.of_rays<int32_t>();
+  tracks.news = buffers.of_rays<int32_t>();
   return tracks;
 }
 
 GeographicGrid read_grid(Buffers& buffers) {
-  const double *rowcol0 = buffers.data<double>(), *lonlat0 = buffers.data<double>(), *step = buffers.data<double>();
-  const double* cell_size = buffers.data<double>();
+  const double *rowcol0 = buffers.data<double>(2), *lonlat0 = buffers.data<double>(2);
+  const double *step = buffers.data<double>(4), *cell_size = buffers.data<double>(2);
   if (!buffers.is_sound()) return {};
   const double shrinking = 1.0 / (step[0] * step[3] - step[1] * step[2]);
   return {rowcol0[0],
@@ -218,24 +262,23 @@ GeographicGrid read_grid(Buffers& buffers) {
           {cell_size[0], cell_size[1]}};
 }
 
-const char* const TOO_FEW = "a native search was called with too few arrays";
 using Doubles = ffi::Result<ffi::Buffer<ffi::F64>>;
 using Integers = ffi::Result<ffi::Buffer<ffi::S32>>;
 using Flags = ffi::Result<ffi::Buffer<ffi::PRED>>;
 
 ffi::Error first_events(ffi::ThreadPool pool, ffi::RemainingArgs args, Integers news, Doubles begin, Doubles root,
                         Doubles below, Integers row, Integers col, int64_t constants, int64_t lines) {
-  Buffers buffers(args);
+  const int64_t count = static_cast<int64_t>(news->element_count());
+  Buffers buffers(args, count);
   const Tracks tracks = read_tracks(buffers);
   Ground ground;
   const ffi::Error error = read_ground(buffers, constants, lines, ground);
   if (error.failure()) return error;
-  if (!buffers.is_sound()) return ffi::Error::InvalidArgument(TOO_FEW);
   const Events events = {news->typed_data(),
                          {begin->typed_data(), root->typed_data(), below->typed_data()},
                          {row->typed_data(), col->typed_data()}};
   const Terrain terrain = ground.terrain;
-  by_chunks(pool, static_cast<int64_t>(news->element_count()),
+  by_chunks(pool, count,
             [=](int64_t first, int64_t last) { kernels().walk(terrain, tracks, events, first, last); });
   return ffi::Error::Success();
 }
@@ -243,24 +286,24 @@ ffi::Error first_events(ffi::ThreadPool pool, ffi::RemainingArgs args, Integers 
 ffi::Error first_hits(ffi::ThreadPool pool, ffi::RemainingArgs args, Integers news, Doubles begin, Doubles root,
                       Doubles below, Integers row, Integers col, Integers track_count, Flags is_above,
                       int64_t constants, int64_t lines) {
-  Buffers buffers(args);
+  const int64_t count = static_cast<int64_t>(news->element_count());
+  Buffers buffers(args, count);
   Rays rays{};
-  for (const double** numbers : {&rays.origins, &rays.directions, &rays.passed, &rays.lengths, &rays.ends,
-                                 &rays.firsts, &rays.lasts})
-    *numbers = buffers.data<double>();
+  for (const double** points : {&rays.origins, &rays.directions}) *points = buffers.of_rays<double>(3);
+  for (const double** numbers : {&rays.passed, &rays.lengths, &rays.ends, &rays.firsts, &rays.lasts})
+    *numbers = buffers.of_rays<double>();
   rays.grid = read_grid(buffers);
   const Tracks tracks = read_tracks(buffers);
   Ground ground;
   const ffi::Error error = read_ground(buffers, constants, lines, ground);
   if (error.failure()) return error;
-  if (!buffers.is_sound()) return ffi::Error::InvalidArgument(TOO_FEW);
   const Hits hits = {news->typed_data(),
                      {begin->typed_data(), root->typed_data(), below->typed_data()},
                      {row->typed_data(), col->typed_data()},
                      track_count->typed_data(),
                      is_above->typed_data()};
   const Terrain terrain = ground.terrain;
-  by_chunks(pool, static_cast<int64_t>(news->element_count()),
+  by_chunks(pool, count,
             [=](int64_t first, int64_t last) { kernels().follow(terrain, rays, tracks, hits, first, last); });
   return ffi::Error::Success();
 }

@@ -30,6 +30,7 @@ from jaxgeo.terrain import (
     TransverseMercatorGrid,
 )
 from jaxgeo.terrain.search import native
+from jaxgeo.terrain.search.reach import reach_of, way_of
 
 pytestmark = pytest.mark.costly
 
@@ -354,6 +355,40 @@ def test_a_million_rays(name: str) -> None:
 def few_rays(count: int = 4) -> tuple[Ray, Dem]:
     dem = TERRAINS["float64, tangent"]()
     return jax.tree.map(lambda x: x[:count], all_rays(dem, 400, seed=5)), dem
+
+
+@needs_native
+@pytest.mark.parametrize("name", _native.TARGETS)
+@pytest.mark.parametrize("change", ["fewer arrays", "fewer rays", "another type"])
+def test_other_arrays_than_it_takes_are_refused(name: str, change: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They would be read beyond their ends."""
+    rays, dem = few_rays(5)
+    ground = dem if name == "first_events" else TERRAINS["float32, voids, geographic"]()
+    called: list[Any] = []
+    usual = jax.ffi.ffi_call
+
+    def noted(target: str, results: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
+            called.append((target, results, args, options))
+            return usual(target, results)(*args, **options)
+
+        return call
+
+    monkeypatch.setattr(jax.ffi, "ffi_call", noted)
+    common = native.Ground.common(ground).bounded()
+    native.walk_all(rays, way_of(common.each(reach_of, rays)), common, None)
+    ((target, results, args, options), *_) = called
+    assert target == _native.TARGETS[name]
+    given = [np.zeros(np.shape(x), x.dtype) for x in args]
+    if change == "fewer arrays":
+        given.pop()
+    if change == "fewer rays":
+        given[0] = given[0][:-1]
+    if change == "another type":
+        given[3] = given[3].astype(np.float32)
+    call = jax.jit(lambda *args: usual(target, results)(*args, **options))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="arrays of other sizes or types than it takes"):
+        jax.block_until_ready(call(*given))
 
 
 @needs_native
