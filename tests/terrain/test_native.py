@@ -170,13 +170,23 @@ def test_batches_of_any_size(count: int) -> None:
     np.testing.assert_allclose(found.ecef, expected.ecef[:count], rtol=0, atol=1e-6)
 
 
+LARGE = {
+    "tangent": lambda: TangentGrid.centred(
+        Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0), spacing=(900.0, 900.0), shape=POSTS.shape
+    ),
+    "geographic": lambda: GeographicGrid.from_affine((0.011, 0.0, 10.0, 0.0, -0.008, 47.5), POSTS.shape),
+    "sheared": lambda: GeographicGrid.from_affine((0.011, 0.003, 10.0, 0.002, 0.008, 46.5), POSTS.shape),
+    "to the pole": lambda: GeographicGrid.from_affine((0.5, 0.0, 0.0, 0.0, -0.008, 90.0), POSTS.shape),
+    "around the Earth": lambda: GeographicGrid.from_affine((360 / (SIDE - 1), 0.0, 0.0, 0.0, -1.0, 64.0), POSTS.shape),
+}
+
+
 @needs_native
-def test_blocks_and_rays_with_several_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("grid", LARGE)
+def test_blocks_and_rays_with_several_tracks(grid: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Grazing rays from far away over a large grid need more tracks than one."""
     monkeypatch.setattr("jaxgeo.terrain.search.first_hit.BLOCK", 700)
-    spacing = (900.0, 900.0)
-    centre = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
-    dem = Dem.from_array(POSTS, TangentGrid.centred(centre, spacing=spacing, shape=POSTS.shape))
+    dem = Dem.from_array(POSTS, LARGE[grid]())
     assert_same(all_rays(dem, COUNT + 1, seed=3), dem)  # so many are traced here only
 
 
