@@ -20,6 +20,7 @@ from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
 FEWEST, MOST = 65, 257  # sample times at which the exposure is searched for a point: two per record
+MOST_SHARED = 16_385  # of those that tell for all points of an image how steady the motion is
 CANDIDATES = 3  # sign changes refined by Newton
 AIR_SLACK = 0.05  # of the sample interval: bound of the error from evaluating refraction at one sample only
 MARGIN = 0.1  # of the exposure: search margin at both ends, since points beside the image have a pixel too
@@ -97,14 +98,15 @@ class Search(NamedTuple):
     rates: Sight
 
     @classmethod
-    def of(cls, scene: Scene, exposure: Exposure) -> Search:
+    def of(cls, scene: Scene, exposure: Exposure, most: int = MOST) -> Search:
+        """With at most so many nodes."""
         (begin, end), times = exposure, scene.legs.times
         duration, before, after = end - begin, times[0] - scene.time, times[-1] - scene.time
         low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
         high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
         overlaps = low < high
         low, high = tree_where(overlaps, (low, high), (before, after))
-        count = STRETCHES * -(-(min(max(2 * times.shape[0], FEWEST), MOST) - 1) // STRETCHES) + 1
+        count = STRETCHES * -(-(min(max(2 * times.shape[0], FEWEST), most) - 1) // STRETCHES) + 1
         nodes = low + (high - low) * jnp.linspace(0.0, 1.0, count)
         sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: sight_at(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
         return cls(begin, end, before, after, overlaps, nodes, sights, rates)
@@ -131,18 +133,20 @@ def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
 def _(size: int, is_batched: Any, scene: Scene, exposure: Exposure) -> tuple[Any, Any]:
     """Many points of one image: those whose delay is proven to rise or fall steadily need few samples.
 
-    Nothing is proven of a motion with more knots than are looked at, nor of images in motions of their own.
+    Nothing is proven of a motion with more records than half of `MOST_SHARED`, nor of images in motions of their own.
     """
     axes = jax.tree.map(lambda own: 0 if own else None, is_batched)
     is_own = any(jax.tree.leaves((is_batched[0]._replace(p_ecef=False), is_batched[1])))
-    if is_own or 2 * scene.legs.times.shape[-1] > MOST:
+    records = scene.legs.times.shape[-1]
+    if is_own or 2 * records > MOST_SHARED:
         one = lambda scene, exposure: _sampled_moment(scene, Search.of(scene, exposure))  # noqa: E731
         return jax.vmap(one, in_axes=axes)(scene, exposure), (True, True)
     search, there = Search.of(scene, exposure), scene._replace(p_ecef=None)
+    whole = search if 2 * records <= MOST else Search.of(scene, exposure, MOST_SHARED)
 
     def quick(place: Vector3) -> tuple[tuple[Scalar, StatusCode], Flag]:
         here = there._replace(p_ecef=place)
-        moment, is_seen, is_proven = steady_moment(here, search.nodes, search.sights, search.rates)
+        moment, is_seen, is_proven = steady_moment(here, whole.nodes, whole.sights, whole.rates)
         is_seen, is_proven = is_seen & search.overlaps, is_proven & search.overlaps
         return (moment, status_where(is_seen, Status.hit, search.reason(Status.hit.code))), is_proven
 
