@@ -137,6 +137,31 @@ def test_small_shares_are_not_worth_a_sentence() -> None:
 
 
 @pytest.mark.costly
+def test_a_scene_without_errors_has_the_usual_ones(tmp_path: pathlib.Path) -> None:
+    """3 m of position and 0.1 deg of pitch and roll 1000 m above level ground; without both no error is horizontal."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[camera]\nwidth = 101\nheight = 101\nfocal_px = 100.0\n[pose]\nlat_deg = 36.0\nlon_deg = -84.0\n"
+        'height_m = 1000.0\nheight_datum = "ellipsoid"\nheading_deg = 0.0\npitch_deg = 0.0\nroll_deg = 0.0\n'
+    )
+    words = ["--scene", scene, "--ground", "0", "--accuracy", "--json"]
+    told = json.loads(locate(*words).stdout)
+    sigma = np.hypot(3.0, 1000.0 * np.deg2rad(0.1))
+    assert told["fixes"][0]["ce90_m"] == pytest.approx(sigma * np.sqrt(-2.0 * np.log(0.1)), rel=1e-3)
+    assert [option for one in told["assumed"] for option in NAMED if f"({option})" in one] == [
+        "--position-sigma",
+        "--attitude-sigma",
+        "--dem-sigma",
+    ]
+    (fix,) = json.loads(locate(*words, "--position-sigma", "0", "--attitude-sigma", "0").stdout)["fixes"]
+    assert fix["ce90_m"] == pytest.approx(0.0, abs=1e-6)
+    assert "up and down alone" in fix["accuracy_text"]
+    zeros = [word for option in ("--position-sigma", "--attitude-sigma", "--dem-sigma") for word in (option, "0")]
+    result = CliRunner().invoke(app, ["locate", *map(str, words), *zeros])
+    assert "all standard deviations are zero; give one of" in result.stderr
+
+
+@pytest.mark.costly
 def test_a_report_says_it_above_the_result(image: pathlib.Path, tmp_path: pathlib.Path) -> None:
     output = tmp_path / "report.html"
     result = CliRunner().invoke(app, ["report", str(image), *GROUND, "-o", str(output)])

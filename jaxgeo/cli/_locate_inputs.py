@@ -117,6 +117,8 @@ def inputs_of(
         with_errors = any(batch.sources for batch in observed.batches) and options.of_images.shots is None
     if options.refraction:
         observed = _refracted(observed)
+    if with_errors:
+        observed = _with_usual_errors(observed)
     assumed, of_errors = _assumed(observed, options)
     if with_errors:
         each = [_sources(batch, observed.source, options) for batch in observed.batches]
@@ -165,6 +167,19 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
         return found, None
     files = files_of(options.files)[0]
     return observations_of_detections(found, detections, anchor=given.anchor or "centre", files=files)
+
+
+def _with_usual_errors(observed: jaxgeo.io.Observations) -> jaxgeo.io.Observations:
+    """The observations of a scene that states no errors with the usual ones, as files have them; else unchanged."""
+    from jaxgeo.io.acquisitions.usual_errors import usual_errors
+
+    batch = observed.batches[0]
+    if batch.sources or not batch.is_one_camera:
+        return observed
+    usual = usual_errors((), batch.sensor.gimbal)
+    defaults = tuple((type(source), sentence) for source, sentence in usual)
+    observed = observed.with_sources([tuple(source for source, _ in usual)])
+    return dataclasses.replace(observed, assumed_errors=defaults)
 
 
 def _assumed(observed: jaxgeo.io.Observations, options: LocateOptions) -> tuple[list[str], list[str]]:
@@ -227,8 +242,8 @@ def _sources(
     found = (*given, *ground)
     if not found:
         raise UserError(
-            f"{source}: no error sources; add an [errors] table to the scene, or give --position-sigma, "
-            f"--attitude-sigma, --gimbal-sigma, --dem-sigma."
+            f"{source}: all standard deviations are zero; give one of --position-sigma, --attitude-sigma, "
+            f"--gimbal-sigma, --dem-sigma above zero."
         )
     if not batch.is_one_camera:
         stated = {id(one) for one in batch.sources}
