@@ -49,8 +49,9 @@ def locate(*arguments: str | pathlib.Path):
 
 
 def test_assumptions_are_two_notes_that_keep_every_fact(capsys: pytest.CaptureFixture[str]) -> None:
-    print_assumed([sentence for sentence, _ in GROUPED])
-    lines = capsys.readouterr().err.splitlines()
+    print_assumed(["Check: The roll has another sign.", *(sentence for sentence, _ in GROUPED)])
+    *lines, last = capsys.readouterr().err.splitlines()
+    assert last == "jaxgeo: check: The roll has another sign."
     assert len(lines) == 2
     assert all(line.startswith("jaxgeo: assumed: ") for line in lines)
     for sentence, words in GROUPED:

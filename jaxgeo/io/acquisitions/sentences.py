@@ -1,10 +1,11 @@
-"""Merging of sentences from many files, with the number of files that each applies to."""
+"""Sentences of readers: what calls for a check, and merging of many files, with the number that each applies to."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
+DOUBT = "Check: "  # begins a sentence on input that contradicts itself; the command line shows it in a line of its own
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
