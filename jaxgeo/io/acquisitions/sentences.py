@@ -9,6 +9,14 @@ DOUBT = "Check: "  # begins a sentence on input that contradicts itself; the com
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
+def heights_are(datum: str | float | None, stated: str = "as given") -> str:
+    """Sentence: the datum of the heights, and where it is stated."""
+    if datum is None:
+        return "Heights are above what the file's map says."
+    surface = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
+    return f"Heights are above {'the WGS 84 ellipsoid' if datum == 'ellipsoid' else surface}, {stated}."
+
+
 def merged_sentences(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:
     """The sentences of several files without repetition, in order of first occurrence.
 
