@@ -20,6 +20,7 @@ from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
 from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._level_ground import ground_doubts
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message
@@ -124,6 +125,7 @@ def inputs_of(
         each = [_sources(batch, observed.source, options) for batch in observed.batches]
         observed = observed.with_sources([found for found, _ in each])
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
+    assumed += ground_doubts(observed, ground)
     if check is not None:
         check(observed, bool(with_errors))
     whole |= vertices is not None

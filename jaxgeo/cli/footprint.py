@@ -109,7 +109,7 @@ def _footprint(
     crs, tolerance, edges, style = drawn
     given, how = of
     how = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
-    found = given.read(how, "a footprint without --shots")
+    found = given.read(how, "a footprint without --shots", ground)
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:
         check_footprint_file(output, crs, attributes, len(found.exposures))

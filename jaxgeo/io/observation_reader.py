@@ -265,7 +265,8 @@ def _batch(
     uv = np.tile(pixels, (len(lanes) // len(pixels), 1))
     heights = None if part.reported is None else np.asarray(part.reported.centre.height)[index]
     observation = Observation(Exposure(sensor, shots, None, atmosphere), uv)
-    return ObservationBatch(observation, sources, rows, centre_heights=heights)
+    above = None if part.above_takeoff is None else part.above_takeoff[index]
+    return ObservationBatch(observation, sources, rows, centre_heights=heights, above_takeoff=above)
 
 
 def _named(files: Sequence[pathlib.Path]) -> str:
