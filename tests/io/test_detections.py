@@ -150,7 +150,7 @@ MISTAKES = {
         ("image,u_min,v_min,u_max,v_max\na.jpg,5,5,1,9\n", "row 2, column u_max: the box has no area"),
         (
             "image,u,v\na.jpg,0.5,1\na.jpg,0.25,0\n",
-            "a.csv: its columns and rows are from 0 to 1, which look like shares",
+            "a.csv: its columns and rows are from 0 to 1, which look",
         ),
     ],
     "a.json": [
