@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from jaxgeo import FrameCamera
 from jaxgeo.io import TableError
-from jaxgeo.io.acquisitions import _calibrations
 from jaxgeo.io.camera_table import CameraModel, camera_models, known_camera, named_camera
 from jaxgeo.io.given_camera import FILM, FILM_CUT, WIDE, given_camera, resized, whole_camera
 from jaxgeo.io.scene import SceneError
