@@ -481,10 +481,13 @@ def test_a_table_of_one_shot(tmp_path: pathlib.Path) -> None:
 
 def test_a_camera_without_a_field(tmp_path: pathlib.Path) -> None:
     """No pixels, or pixels of no size, are no field of view."""
-    for old, new in (("width = 2400", "width = 0"), ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0")):
+    for old, new, least in (
+        ("width = 2400", "width = 0", "greater than 0"),
+        ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0", "at least 0.1 um"),
+    ):
         scene = scene_with(tmp_path, old, new)
         result = run("footprint", "--scene", scene, "--dem", DEM)
-        assert_refused(result, str(scene), new, "greater than 0")
+        assert_refused(result, str(scene), new, least)
 
 
 def test_readings_must_come_from_somewhere(tmp_path: pathlib.Path, flight) -> None:

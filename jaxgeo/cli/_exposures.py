@@ -130,11 +130,14 @@ class ExposureOptions(OptionGroup):
 
     def _of_scene(self, height_datum: str | None, needed_by: str) -> list[GivenExposure]:
         from jaxgeo.cli._inputs import shot_of, shots_of
+        from jaxgeo.io.acquisitions._camera_checks import camera_doubts
+        from jaxgeo.io.observations import frame_camera_of
         from jaxgeo.io.scene import read_scene
 
         path = self.scene_file
         assert path is not None
         scene = read_scene(path)
+        print_assumed(camera_doubts(frame_camera_of(scene.sensor)))
         if self.shots is None:
             return [GivenExposure(path.name, scene.sensor, shot_of(scene, path, needed_by), scene.atmosphere)]
         batch, rows = shots_of(scene, path, self.shots, height_datum)
