@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 
 import jax
 import numpy as np
@@ -13,6 +14,8 @@ from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._assumed import NAMED, print_assumed, told_shares
+from jaxgeo.cli._far_crs import note_far_crs
+from jaxgeo.earth import Geodetic
 from jaxgeo.io import accuracy_of_observations, locate_observations, read_observations
 from jaxgeo.io.located import horizontal_variances
 from jaxgeo.terrain import ConstantHeight
@@ -170,3 +173,45 @@ def test_a_report_says_it_above_the_result(image: pathlib.Path, tmp_path: pathli
     page = output.read_text()
     assert "comes mostly from assumed" in result.stderr
     assert page.index('class="notice">CE90 comes mostly') < page.index('class="headline place"')
+
+
+@pytest.mark.parametrize(
+    "lat, lon, crs, words",
+    [
+        (
+            24.5,
+            120.8,
+            "EPSG:32616",
+            "149 deg from the area of use of --crs EPSG:32616; the UTM zone",
+        ),
+        (
+            -36.0,
+            -84.1,
+            "EPSG:32616",
+            "the UTM zone here is EPSG:32716.",
+        ),
+        (-17.0, -179.5, "EPSG:32760", ""),  # in the next zone, across the date line
+        (-17.0, 100.0, "EPSG:3460", "the UTM zone here is EPSG:32747."),  # Fiji, whose area crosses the date line
+        (-17.0, -179.5, "EPSG:3460", ""),
+        (24.5, 120.8, "EPSG:4326", ""),
+        (24.5, 120.8, "nonsense", ""),
+    ],
+)
+def test_a_crs_of_another_part_of_the_earth_is_doubtful(
+    lat: float, lon: float, crs: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lats, lons = np.deg2rad([[np.nan, lat], [np.nan, lon]])
+    note_far_crs(crs, Geodetic(lat=lats, lon=lons, height=np.zeros(2)))
+    said = capsys.readouterr().err
+    assert words in said.replace("\n", " ")
+    assert bool(said) == bool(words)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("command", ["locate", "footprint"])
+def test_the_utm_zone_that_is_named_is_not_doubtful(command: str, image: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    more = ["--no-accuracy"] if command == "locate" else []
+    line = [command, str(image), *GROUND, *more, "-o", str(tmp_path / "out.geojson"), "--crs"]
+    told = CliRunner().invoke(app, [*line, "EPSG:32651"]).stderr
+    (zone,) = re.findall(r"the UTM zone here is (EPSG:[0-9]+)", told)
+    assert "UTM zone here" not in CliRunner().invoke(app, [*line, zone]).stderr
