@@ -139,8 +139,8 @@ def _relative_heights(reading: ReadingOptions) -> list[str]:
     if reading.height_datum is not None or number_in(reading.takeoff_height or "") != 0.0:
         return []
     return [
-        f"{DOUBT}With --takeoff-height 0 all heights, those of fixes too, are relative to the take-off, unless it is at "
-        f"0 m above the ellipsoid: what is said to be above the ellipsoid or mean sea level is not."
+        f"{DOUBT}With --takeoff-height 0 all heights, those of fixes too, are relative to the take-off, unless it is "
+        f"at 0 m above the ellipsoid: what is said to be above the ellipsoid or mean sea level is not."
     ]
 
 
