@@ -142,7 +142,7 @@ def test_small_shares_are_not_worth_a_sentence() -> None:
 
 @pytest.mark.costly
 def test_a_scene_without_errors_has_the_usual_ones(tmp_path: pathlib.Path) -> None:
-    """3 m of position and 0.1 deg of pitch and roll 1000 m above level ground; without both no error is horizontal."""
+    """3 m of position and 0.1 deg of pitch and roll 1000 m above level ground, whose height moves nothing there."""
     scene = tmp_path / "scene.toml"
     scene.write_text(
         "[camera]\nwidth = 101\nheight = 101\nfocal_px = 100.0\n[pose]\nlat_deg = 36.0\nlon_deg = -84.0\n"
@@ -157,9 +157,6 @@ def test_a_scene_without_errors_has_the_usual_ones(tmp_path: pathlib.Path) -> No
         "--attitude-sigma",
         "--dem-sigma",
     ]
-    (fix,) = json.loads(locate(*words, "--position-sigma", "0", "--attitude-sigma", "0").stdout)["fixes"]
-    assert fix["ce90_m"] == pytest.approx(0.0, abs=1e-6)
-    assert "up and down alone" in fix["accuracy_text"]
     zeros = [word for option in ("--position-sigma", "--attitude-sigma", "--dem-sigma") for word in (option, "0")]
     result = CliRunner().invoke(app, ["locate", *map(str, words), *zeros])
     assert "all standard deviations are zero; give one of" in result.stderr

@@ -80,7 +80,9 @@ DOUBTFUL = {
 }
 
 
-@pytest.mark.parametrize("case", DOUBTFUL)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.costly] if case == "scene.toml" else []) for case in DOUBTFUL]
+)
 def test_a_camera_that_hardly_exists_is_doubtful(tmp_path: pathlib.Path, case: str) -> None:
     """The same sentence by the reader, for observations, and for commands about whole images."""
     name, _, given = case.partition(" ")
