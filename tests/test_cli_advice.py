@@ -112,6 +112,33 @@ def test_every_way_out_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatc
         assert result.exit_code == 0, (way, result.stderr)
 
 
+RTK = DJI | {"drone-dji:RtkFlag": "50", "drone-dji:AbsoluteAltitude": "+700.0", "drone-dji:RelativeAltitude": "+99.9"}
+
+
+@pytest.mark.parametrize(
+    "typed, words",
+    [
+        (["--camera-datum", "EPSG:5773"], r"Altitudes by RTK \(RtkFlag 50\) .* above EPSG:5773, .* 31\.\d m lower\."),
+        (
+            ["--takeoff-height", "624.5"],
+            r"gives 600\.1 m above the ellipsoid for the take-off, 24\.4 m lower than --take",
+        ),
+        (["--takeoff-height", "610"], ""),  # the model explains it
+    ],
+)
+def test_heights_by_rtk_contradict_what_is_typed(tmp_path: pathlib.Path, typed: list[str], words: str) -> None:
+    path = write_image(tmp_path / "a.jpg", packet(RTK), make="DJI")
+    told = [one for one in json.loads(run(str(path), *typed, "--json").stdout)["assumed"] if one.startswith("Check")]
+    assert len(told) == bool(words)
+    for one in told:
+        assert re.search(words, one)
+        (way,) = re.findall(r"Give (--camera-datum [a-z]+)", one)
+        right = json.loads(run(str(path), *way.split(), "--json").stdout)
+        assert right["exposures"][0]["height_m"] == 700.0
+        assert not any(sentence.startswith("Check") for sentence in right["assumed"])
+        assert "Heights are above the WGS 84 ellipsoid, as given." in right["assumed"]
+
+
 def test_a_scene_gives_its_camera(tmp_path: pathlib.Path) -> None:
     """Its lens with its errors and its air, whatever the tags say; the pose is the image's."""
     path = write_image(tmp_path / "a.jpg", packet(LENSLESS), make="DJI", exif={})

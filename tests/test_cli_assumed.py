@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 
 import jax
 import numpy as np
@@ -13,6 +14,8 @@ from support.command_runner import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._assumed import NAMED, print_assumed, told_shares
+from jaxgeo.cli._far_crs import note_far_crs
+from jaxgeo.earth import Geodetic
 from jaxgeo.io import accuracy_of_observations, locate_observations, read_observations
 from jaxgeo.io.located import horizontal_variances
 from jaxgeo.terrain import ConstantHeight
@@ -49,8 +52,9 @@ def locate(*arguments: str | pathlib.Path):
 
 
 def test_assumptions_are_two_notes_that_keep_every_fact(capsys: pytest.CaptureFixture[str]) -> None:
-    print_assumed([sentence for sentence, _ in GROUPED])
-    lines = capsys.readouterr().err.splitlines()
+    print_assumed(["Check: The roll has another sign.", *(sentence for sentence, _ in GROUPED)])
+    *lines, last = capsys.readouterr().err.splitlines()
+    assert last == "jaxgeo: check: The roll has another sign."
     assert len(lines) == 2
     assert all(line.startswith("jaxgeo: assumed: ") for line in lines)
     for sentence, words in GROUPED:
@@ -137,6 +141,28 @@ def test_small_shares_are_not_worth_a_sentence() -> None:
 
 
 @pytest.mark.costly
+def test_a_scene_without_errors_has_the_usual_ones(tmp_path: pathlib.Path) -> None:
+    """3 m of position and 0.1 deg of pitch and roll 1000 m above level ground, whose height moves nothing there."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[camera]\nwidth = 101\nheight = 101\nfocal_px = 100.0\n[pose]\nlat_deg = 36.0\nlon_deg = -84.0\n"
+        'height_m = 1000.0\nheight_datum = "ellipsoid"\nheading_deg = 0.0\npitch_deg = 0.0\nroll_deg = 0.0\n'
+    )
+    words = ["--scene", scene, "--ground", "0", "--accuracy", "--json"]
+    told = json.loads(locate(*words).stdout)
+    sigma = np.hypot(3.0, 1000.0 * np.deg2rad(0.1))
+    assert told["fixes"][0]["ce90_m"] == pytest.approx(sigma * np.sqrt(-2.0 * np.log(0.1)), rel=1e-3)
+    assert [option for one in told["assumed"] for option in NAMED if f"({option})" in one] == [
+        "--position-sigma",
+        "--attitude-sigma",
+        "--dem-sigma",
+    ]
+    zeros = [word for option in ("--position-sigma", "--attitude-sigma", "--dem-sigma") for word in (option, "0")]
+    result = CliRunner().invoke(app, ["locate", *map(str, words), *zeros])
+    assert "all standard deviations are zero; give one of" in result.stderr
+
+
+@pytest.mark.costly
 def test_a_report_says_it_above_the_result(image: pathlib.Path, tmp_path: pathlib.Path) -> None:
     output = tmp_path / "report.html"
     result = CliRunner().invoke(app, ["report", str(image), *GROUND, "-o", str(output)])
@@ -144,3 +170,45 @@ def test_a_report_says_it_above_the_result(image: pathlib.Path, tmp_path: pathli
     page = output.read_text()
     assert "comes mostly from assumed" in result.stderr
     assert page.index('class="notice">CE90 comes mostly') < page.index('class="headline place"')
+
+
+@pytest.mark.parametrize(
+    "lat, lon, crs, words",
+    [
+        (
+            24.5,
+            120.8,
+            "EPSG:32616",
+            "149 deg from the area of use of --crs EPSG:32616; the UTM zone",
+        ),
+        (
+            -36.0,
+            -84.1,
+            "EPSG:32616",
+            "the UTM zone here is EPSG:32716.",
+        ),
+        (-17.0, -179.5, "EPSG:32760", ""),  # in the next zone, across the date line
+        (-17.0, 100.0, "EPSG:3460", "the UTM zone here is EPSG:32747."),  # Fiji, whose area crosses the date line
+        (-17.0, -179.5, "EPSG:3460", ""),
+        (24.5, 120.8, "EPSG:4326", ""),
+        (24.5, 120.8, "nonsense", ""),
+    ],
+)
+def test_a_crs_of_another_part_of_the_earth_is_doubtful(
+    lat: float, lon: float, crs: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lats, lons = np.deg2rad([[np.nan, lat], [np.nan, lon]])
+    note_far_crs(crs, Geodetic(lat=lats, lon=lons, height=np.zeros(2)))
+    said = capsys.readouterr().err
+    assert words in said.replace("\n", " ")
+    assert bool(said) == bool(words)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("command", ["locate", "footprint"])
+def test_the_utm_zone_that_is_named_is_not_doubtful(command: str, image: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    more = ["--no-accuracy"] if command == "locate" else []
+    line = [command, str(image), *GROUND, *more, "-o", str(tmp_path / "out.geojson"), "--crs"]
+    told = CliRunner().invoke(app, [*line, "EPSG:32651"]).stderr
+    (zone,) = re.findall(r"the UTM zone here is (EPSG:[0-9]+)", told)
+    assert "UTM zone here" not in CliRunner().invoke(app, [*line, zone]).stderr

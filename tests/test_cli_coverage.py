@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import pathlib
+import re
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from rasterio.windows import from_bounds
 from support.command_files import prepare
 from support.command_runner import CliRunner
 
-from jaxgeo import coverage
+from jaxgeo import Geodetic, coverage
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io import example_dem, read_navigation
@@ -289,6 +290,17 @@ def test_point_at_what_is_hidden() -> None:
     assert result.exit_code == 1, result.output
     assert [line.split(" = ")[0] for line in result.stdout.splitlines()] == ["outer_deg", "inner_deg"]
     assert Status.hidden_by_terrain.message in result.stderr
+    assert re.search(r"0\.00 m above the ellipsoid, \d+\.\d\d m below the ground of --dem", result.stderr)
+
+
+@pytest.mark.costly
+def test_a_target_above_the_ground_says_how_far() -> None:
+    place = Geodetic.from_degrees(lat=36.269, lon=-84.268, height=0.0)
+    ground = float(example_dem().height_at(place))
+    words = ("--target", "36.269,-84.268,1560", "--target-datum", "ellipsoid", "--dem", DEM)
+    result = run("point", "--scene", scene_file(), *words)
+    assert result.exit_code == 0, result.output
+    assert f"1560.00 m above the ellipsoid, {1560.0 - ground:.2f} m above the ground of --dem" in result.stderr
 
 
 @pytest.mark.slow
@@ -469,10 +481,13 @@ def test_a_table_of_one_shot(tmp_path: pathlib.Path) -> None:
 
 def test_a_camera_without_a_field(tmp_path: pathlib.Path) -> None:
     """No pixels, or pixels of no size, are no field of view."""
-    for old, new in (("width = 2400", "width = 0"), ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0")):
+    for old, new, least in (
+        ("width = 2400", "width = 0", "greater than 0"),
+        ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0", "at least 0.1 um"),
+    ):
         scene = scene_with(tmp_path, old, new)
         result = run("footprint", "--scene", scene, "--dem", DEM)
-        assert_refused(result, str(scene), new, "greater than 0")
+        assert_refused(result, str(scene), new, least)
 
 
 def test_readings_must_come_from_somewhere(tmp_path: pathlib.Path, flight) -> None:

@@ -153,3 +153,32 @@ def test_datums_that_nobody_states_are_asked_for_at_once(here: pathlib.Path) -> 
     assert "--dem-datum" in one.stderr
     assert "--camera-datum" not in one.stderr
     assert run(f"{line} --camera-datum ellipsoid --dem-datum EPSG:5773").exit_code == 0
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        (
+            "locate DJI_0042.JPG --no-accuracy --takeoff-height 900 --ground 100",
+            "take-off is 800 m above --ground 100",
+        ),
+        ("footprint DJI_0042.JPG --takeoff-height 900 --ground 100", "take-off is 800 m above --ground 100"),
+        (
+            "locate flight.klv --no-accuracy --ground 1000",
+            "frame centre 7[0-9]+ m below --ground 1000",
+        ),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0", "are relative to the take-off"),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 5 --ground 0", ""),
+        ("locate flight.klv --no-accuracy --ground reported", ""),
+    ],
+)
+def test_level_ground_far_from_what_the_files_report_is_doubtful(line: str, words: str, here: pathlib.Path) -> None:
+    prepare(here, line)
+    told = [one for one in run(line).stderr.splitlines() if "jaxgeo: check: " in one]
+    assert len(told) == bool(words)
+    for one in told:
+        assert re.search(words, one)
+        for way in re.findall(r"Give (--ground \d+)", one):
+            assert "check: " not in run(f"{line.partition(' --ground')[0]} {way}").stderr
+        assert "Give" in one or "take-off" in words

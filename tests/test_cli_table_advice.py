@@ -17,7 +17,7 @@ from tests.test_cli_advice import printed
 UTM = "--source-crs EPSG:32616"
 DATUMS = ["--camera-datum ellipsoid", "--camera-datum EPSG:5773"]
 LENS = "--camera focal=8.8mm,pitch=2.41um,size=5472x3648"
-LENSES = ["--scene SCENE.toml", LENS]
+LENSES = ["--scene SCENE.toml", LENS, "--camera film=24mm,size=3840x2160"]
 TAKEOFF = "--takeoff-height"
 SCENE = """[camera]
 width = 5472

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import ConstantHeight, Dem, Geodetic, Pose, Shot
+from jaxgeo import ConstantHeight, Dem, FrameCamera, Geodetic, Pose, Shot
 from jaxgeo.coverage import FlightNoise, LinearGaps, Strip
 from jaxgeo.io import example_dem
 from jaxgeo.sensor.conventions import li_2020_sensor
@@ -29,6 +29,14 @@ def test_a_pose() -> None:
     assert repr(POSE) == f"Pose({said}"
     two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf + 0.01]), POSE)
     assert repr(two).startswith("Pose(2 poses, lat 36.3180000 to 36.8909578, lon -84.1050000 to -83.5320422 deg")
+
+
+def test_a_camera() -> None:
+    camera = FrameCamera.from_metric(focal_length=0.05, pixel_pitch=4e-6, width=6000, height=4000)
+    said = "6000 x 4000 pixels, focal length 12500.0 pixels, field of view 26.99 x 18.18 deg without distortion, "
+    assert repr(camera) == f"FrameCamera({said}NoDistortion)"
+    two = jax.tree.map(lambda leaf: jnp.stack([leaf, 2.0 * leaf]), camera)
+    assert "(2 cameras, 6000 x 4000 pixels, focal length 12500.0 to 25000.0 pixels, field of view 13.69 to" in repr(two)
 
 
 def test_a_dem() -> None:
@@ -53,7 +61,7 @@ def test_a_strip_and_its_gaps() -> None:
     assert repr(GAPS) == "LinearGaps(probability of a gap 0.3 in 2 pairs, largest at pair 1: 0.25)"
 
 
-@pytest.mark.parametrize("record", [POSE, example_dem(), GAPS], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("record", [POSE, SENSOR.camera, example_dem(), GAPS], ids=lambda one: type(one).__name__)
 def test_without_numbers_they_are_printed_as_their_fields(record: jaxgeo.Pose) -> None:
     """Traced, of shapes alone, filtered, and as a tree of flags; nothing is raised, and pytrees are as before."""
     name = type(record).__name__

@@ -34,13 +34,20 @@ OF_SOURCE = {
 
 
 def print_assumed(sentences: Sequence[str]) -> None:
-    """Print assumptions as notes: one for the default standard deviations, with their options, one for all others."""
+    """Print assumptions as notes: one for the default standard deviations, with their options, one for each input that
+    contradicts itself, one for all others."""
+    from jaxgeo.io.acquisitions.sentences import DOUBT
+
+    doubts = [one for one in sentences if one.startswith(DOUBT)]
+    sentences = [one for one in sentences if one not in doubts]
     sigmas = [one for one in sentences if OF_SIGMA.search(one) or " sigma: " in one]
     others = [one for one in sentences if one not in sigmas]
     if others:
         print_note(f"assumed: {' '.join(map(_as_sentence, others))}")
     if sigmas:
         print_note(f"assumed: Standard deviations: {'; '.join(map(_as_item, sigmas))}.")
+    for one in doubts:
+        print_note(one[:1].lower() + one[1:])
 
 
 def _as_sentence(text: str) -> str:

@@ -12,6 +12,8 @@ from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import single
+from jaxgeo.cli._level_ground import ground_doubts
+from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read, typed
 from jaxgeo.cli._options import ExposureFiles, ExposureNames, OptionGroup, SceneOfFiles
 from jaxgeo.earth import Atmosphere
@@ -105,14 +107,14 @@ class ExposureOptions(OptionGroup):
                 )
             raise UserError(f"{typed(name)} is for a FILE of exposures; leave it out with a scene.")
 
-    def read(self, reading: ReadingOptions, needed_by: str) -> GivenExposures:
+    def read(self, reading: ReadingOptions, needed_by: str, ground: GroundOptions | None = None) -> GivenExposures:
         """The exposures; assumptions and unread files are printed on stderr. Raises `UserError`, and as the readers."""
         if self.is_scene:
             return GivenExposures(self._of_scene(reading.height_datum, needed_by))
-        observed = self.read_files(reading)
+        observed = self.read_files(reading, ground)
         return GivenExposures(_in_order(observed), True, _reasons(observed))
 
-    def read_files(self, reading: ReadingOptions) -> Observations:
+    def read_files(self, reading: ReadingOptions, ground: GroundOptions | None = None) -> Observations:
         """What the files hold; assumptions and unread files are printed on stderr. Raises as the readers."""
         from jaxgeo.io import read_observations
 
@@ -121,18 +123,21 @@ class ExposureOptions(OptionGroup):
             observed = read_observations(
                 files, scene=self.scene, exposures=self.names or (), progress=progress, **reading.known_arguments
             )
-        assumed = map(as_typed, observed.assumed)
-        print_assumed([one for one in assumed if not any(word in one for word in OF_ERRORS)])
+        assumed = [one for one in map(as_typed, observed.assumed) if not any(word in one for word in OF_ERRORS)]
+        print_assumed([*assumed, *([] if ground is None else ground_doubts(observed, ground))])
         print_unread(observed.unread.values())
         return observed
 
     def _of_scene(self, height_datum: str | None, needed_by: str) -> list[GivenExposure]:
         from jaxgeo.cli._inputs import shot_of, shots_of
+        from jaxgeo.io.acquisitions._camera_checks import camera_doubts
+        from jaxgeo.io.observations import frame_camera_of
         from jaxgeo.io.scene import read_scene
 
         path = self.scene_file
         assert path is not None
         scene = read_scene(path)
+        print_assumed(camera_doubts(frame_camera_of(scene.sensor)))
         if self.shots is None:
             return [GivenExposure(path.name, scene.sensor, shot_of(scene, path, needed_by), scene.atmosphere)]
         batch, rows = shots_of(scene, path, self.shots, height_datum)

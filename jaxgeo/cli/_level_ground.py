@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,11 @@ from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import Look, as_datum, check_goes_with_dem, read_terrain
 from jaxgeo.cli._locate_options import NO_GROUND, GroundOptions
 from jaxgeo.terrain import ConstantHeight
+
+if TYPE_CHECKING:
+    from jaxgeo.io import Observations
+
+FAR = 50.0  # m: five usual standard deviations of level ground
 
 
 def check_ground(ground: GroundOptions) -> None:
@@ -36,6 +41,33 @@ def terrain_of(ground: GroundOptions, shot: Callable[[], Any], look: Look) -> An
 def with_ground(inputs: dict[str, Any]) -> dict[str, Any]:
     """Given options by the names that they have on the command line."""
     return {("ground" if name == "level" else name): value for name, value in inputs.items()}
+
+
+def ground_doubts(observed: Observations, ground: GroundOptions) -> list[str]:
+    """Sentences on level ground that is far from what files report: the frame centre, and the take-off."""
+    from jaxgeo.io.acquisitions.sentences import DOUBT
+
+    height = number_in(ground.level or "")
+    if height is None:
+        return []
+    centres, takeoffs = [], []
+    for batch in observed.batches:
+        level = level_at(batch.at(0)[0].exposure.motion, ground).height
+        own = np.asarray(batch.shots.pose.position.height)
+        centres += [] if batch.centre_heights is None else (batch.centre_heights - level).tolist()
+        takeoffs += [] if batch.above_takeoff is None else (own - batch.above_takeoff - level).tolist()
+    doubts = []
+    for what, values, advice in (
+        ("The files report the frame centre", centres, "."),
+        ("The take-off is", takeoffs, " if the ground is as high as the take-off."),
+    ):
+        known = np.array(values)[np.isfinite(values)]
+        off = float(np.median(known)) if known.size else 0.0
+        if abs(off) > FAR:
+            side = "above" if off > 0.0 else "below"
+            where = f"{abs(off):.0f} m {side} --ground {ground.level}"
+            doubts.append(f"{DOUBT}{what} {where}. Give --ground {height + off:.0f}{advice}")
+    return doubts
 
 
 def level_at(shot: Any, ground: GroundOptions) -> ConstantHeight:

@@ -14,12 +14,13 @@ import jaxgeo
 from jaxgeo._destination import check_no_input
 from jaxgeo._refusals import is_refusal
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._acquisitions import print_unread, reading_files
+from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
 from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._level_ground import ground_doubts
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._screen import print_message
@@ -117,15 +118,30 @@ def inputs_of(
         with_errors = any(batch.sources for batch in observed.batches) and options.of_images.shots is None
     if options.refraction:
         observed = _refracted(observed)
+    if with_errors:
+        observed = _with_usual_errors(observed)
     assumed, of_errors = _assumed(observed, options)
     if with_errors:
         each = [_sources(batch, observed.source, options) for batch in observed.batches]
         observed = observed.with_sources([found for found, _ in each])
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
+    assumed += [*ground_doubts(observed, ground), *_relative_heights(options.reading)]
     if check is not None:
         check(observed, bool(with_errors))
     whole |= vertices is not None
     return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed, vertices)
+
+
+def _relative_heights(reading: ReadingOptions) -> list[str]:
+    """A sentence on all heights if the take-off is the level of reference: at 0 m above no datum that is named."""
+    from jaxgeo.io.acquisitions.sentences import DOUBT
+
+    if reading.height_datum is not None or number_in(reading.takeoff_height or "") != 0.0:
+        return []
+    return [
+        f"{DOUBT}With --takeoff-height 0 all heights, those of fixes too, are relative to the take-off, unless it is "
+        f"at 0 m above the ellipsoid: what is said to be above the ellipsoid or mean sea level is not."
+    ]
 
 
 def states_errors(options: LocateOptions) -> bool | None:
@@ -165,6 +181,19 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
         return found, None
     files = files_of(options.files)[0]
     return observations_of_detections(found, detections, anchor=given.anchor or "centre", files=files)
+
+
+def _with_usual_errors(observed: jaxgeo.io.Observations) -> jaxgeo.io.Observations:
+    """The observations of a scene that states no errors with the usual ones, as files have them; else unchanged."""
+    from jaxgeo.io.acquisitions.usual_errors import usual_errors
+
+    batch = observed.batches[0]
+    if batch.sources or not batch.is_one_camera:
+        return observed
+    usual = usual_errors((), batch.sensor.gimbal)
+    defaults = tuple((type(source), sentence) for source, sentence in usual)
+    observed = observed.with_sources([tuple(source for source, _ in usual)])
+    return dataclasses.replace(observed, assumed_errors=defaults)
 
 
 def _assumed(observed: jaxgeo.io.Observations, options: LocateOptions) -> tuple[list[str], list[str]]:
@@ -227,8 +256,8 @@ def _sources(
     found = (*given, *ground)
     if not found:
         raise UserError(
-            f"{source}: no error sources; add an [errors] table to the scene, or give --position-sigma, "
-            f"--attitude-sigma, --gimbal-sigma, --dem-sigma."
+            f"{source}: all standard deviations are zero; give one of --position-sigma, --attitude-sigma, "
+            f"--gimbal-sigma, --dem-sigma above zero."
         )
     if not batch.is_one_camera:
         stated = {id(one) for one in batch.sources}

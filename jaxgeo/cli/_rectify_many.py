@@ -12,6 +12,7 @@ from jaxgeo.cli._cluster import MOST_TOLD, PartsOptions, print_missing, report_f
 from jaxgeo.cli._common import FAULT, NO_ANSWER, UserError
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
+from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._inputs import open_terrain
 from jaxgeo.cli._option_names import as_typed, translate_cell_errors
 from jaxgeo.cli._options import DemOptions
@@ -55,6 +56,7 @@ def rectify_several(
     compile_quickly()
     enable_x64()
     observed, files = given.on(dem, ground).read()
+    note_far_crs(wishes["crs"], observed.position)
     _check_bands(files, wishes["bands"])
     terrain = open_terrain(dem, ground, lambda: _view(observed))
     began = time.perf_counter()

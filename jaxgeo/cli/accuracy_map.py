@@ -17,6 +17,7 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas
+from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._map_cells import MapCells
@@ -167,6 +168,7 @@ def _computed(
     enable_x64()
     inputs = read_inputs(options, True, None if on_cluster else output, on_disk=on_cluster, whole=True)
     row = _only_row(inputs)
+    note_far_crs(how["crs"], inputs.observed.position)
     observation, errors = inputs.observed.at(row)
     exposure = observation.exposure
     terrain: Any = inputs.grounds if on_cluster and options.ground.level is None else inputs.grounds[0]

@@ -16,6 +16,7 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_er
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
+from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
@@ -109,9 +110,10 @@ def _footprint(
     crs, tolerance, edges, style = drawn
     given, how = of
     how = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
-    found = given.read(how, "a footprint without --shots")
+    found = given.read(how, "a footprint without --shots", ground)
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:
+        note_far_crs(crs, found.exposures[0].shot)
         check_footprint_file(output, crs, attributes, len(found.exposures))
     terrain = None if ground.level is not None else read_terrain(ground.dem or [], ground, found.view)
     outlines, rows = [], []

@@ -22,6 +22,7 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_er
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import Sigmas
+from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixes_table, locate_inputs, outlines_of
@@ -215,6 +216,7 @@ def _locate_on_cluster(
     folder = many.check_folder(writing.output)
     _start(options)
     inputs = read_inputs(options, accuracy, None, on_disk=True)
+    note_far_crs(writing.crs, inputs.observed.position)
     observed = dataclasses.replace(inputs.observed, columns=_typed(inputs.observed))
     with many.connected() as client, report_failed_parts():
         run = locate_frames(
@@ -297,6 +299,7 @@ def _check_file(writing: OutputOptions, probability: float, observed: jaxgeo.io.
     from jaxgeo.io.fix_files import check_fix_file
 
     assert writing.output is not None
+    note_far_crs(writing.crs, observed.position)
     check_fix_file(
         writing.output,
         writing.crs,

@@ -94,7 +94,7 @@ def overlap_command(
                 images = _at_times(given.scene, navigation, moments, how.height_datum)
             else:
                 known = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
-                images = given.read(known, "overlap without --shots")
+                images = given.read(known, "overlap without --shots", ground)
                 _check_several(images, given)
             terrain = terrain_of(ground, lambda: images.exposures[0].shot, images.view)
             rows = _overlaps(images.exposures, terrain, None if along is None else along.value)

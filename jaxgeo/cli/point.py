@@ -234,7 +234,8 @@ def _aim(text: str) -> Any:
 
 
 def _target(stated: Any, place: list[float], terrain: Any) -> Any:
-    """The target point, with the given height or that of the ground; printed on stderr."""
+    """The target point, with the given height or that of the ground; printed on stderr, a given height also above the
+    ground of the elevation model."""
     import math
 
     from jaxgeo.earth import Geodetic
@@ -244,14 +245,18 @@ def _target(stated: Any, place: list[float], terrain: Any) -> Any:
     position = Geodetic.from_degrees(lat=lat, lon=lon, height=0.0)
     if terrain is not None:
         _check_is_on(terrain, place)
+    ground = math.nan if terrain is None else float(terrain.height_at(position))
+    above = ""
     if len(place) == 3:
         height = float(ellipsoidal_heights([lon], [lat], [place[2]], stated)[0])
+        if math.isfinite(ground):
+            side = "above" if height >= ground else "below"
+            above = f", {abs(height - ground):.2f} m {side} the ground of --dem"
     else:
-        assert terrain is not None
-        height = float(terrain.height_at(position))
+        height = ground
         if not math.isfinite(height):
             raise UserError(f"--target {lat:g},{lon:g}: the DEM has no height there; give a height, or another DEM.")
-    said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid"
+    said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid{above}"
     if not is_quiet():
         stderr().print(said, highlight=False, soft_wrap=True)
     return Geodetic.from_degrees(lat=lat, lon=lon, height=height)

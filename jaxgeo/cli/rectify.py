@@ -16,6 +16,7 @@ from jaxgeo.cli._cluster import PartsOptions
 from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
+from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
 from jaxgeo.cli._map_cells import MapCells
 from jaxgeo.cli._option_names import translate_cell_errors, translate_reach_errors
@@ -170,6 +171,7 @@ def _rectify(
         compile_quickly()
     enable_x64()
     file, exposure = given.on(dem, reading).one()
+    note_far_crs(wishes["crs"], exposure.motion)
     terrain = read_terrain(dem, reading, lambda: view_of_shots(exposure.sensor, [exposure.motion]))
     began = time.perf_counter()
     with bars_on_stderr() as is_shown, translate_cell_errors(), translate_reach_errors():

@@ -38,6 +38,17 @@ UNKNOWN_NUMBERS = frozenset({-9999.0, -99999.0, -999999.0, -32767.0, -32768.0})
 CUT = "; the file ends within the row: copy or export it again, or delete the row"
 
 
+def check_not_shares(path: Any, uv: np.ndarray) -> None:
+    """Raises `TableError` for columns and rows of pixels (n, 2) that are shares of the image: between 0 and 1, some not
+    whole."""
+    known = uv[np.isfinite(uv)]
+    if known.size and np.all((known >= 0.0) & (known <= 1.0)) and np.any(known != np.floor(known)):
+        raise TableError(
+            f"{path}: its columns and rows are from {known.min():g} to {known.max():g}, which look like shares of the "
+            f"image; pixels are expected. Multiply columns by its width, rows by its height."
+        )
+
+
 @dataclass(frozen=True)
 class CsvTable:
     """The header and rows of a CSV file, and the line in which each row ends; every row is complete.

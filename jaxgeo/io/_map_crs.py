@@ -92,6 +92,19 @@ def map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
     return MapCRS(coded(whole), flat, datum, to_flat.transformer, to_space.transformer, None, str(to_space))
 
 
+def degrees_outside(crs: Any, lat: float, lon: float) -> float:
+    """How far in deg a place is outside the area of use of a CRS; 0 if that is unknown."""
+    try:
+        area = known_crs(crs).area_of_use
+    except UNKNOWN_CRS:
+        area = None
+    if area is None:
+        return 0.0
+    width, past = (area.east - area.west) % 360.0 or 360.0, (lon - area.west) % 360.0
+    across = 0.0 if past <= width else min(past - width, 360.0 - past)
+    return max(across, area.south - lat, lat - area.north, 0.0)
+
+
 def code_of(crs: pyproj.CRS) -> str | None:
     """Short code of a CRS: "EPSG:4979", "EPSG:25832+5773" for a compound one; None if it has no authority code."""
     authority = crs.to_authority()

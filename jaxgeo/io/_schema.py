@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from jaxgeo.sensor.camera import LONGEST, PITCHES
+
 
 class Unit(str):
     """The unit of a value, or its expected form, for messages."""
@@ -18,8 +20,8 @@ Coefficient = Annotated[float, _strict, Unit("1")]
 Angle = Annotated[float, Field(strict=True, ge=-360.0, le=360.0), Unit("deg")]
 SmallAngle = Annotated[float, Field(strict=True, ge=-90.0, le=90.0), Unit("deg")]
 HalfTurn = Annotated[float, Field(strict=True, ge=-180.0, le=180.0), Unit("deg")]
-Millimetres = Annotated[float, Field(strict=True, gt=0.0), Unit("mm")]
-Micrometres = Annotated[float, Field(strict=True, gt=0.0), Unit("um")]
+Millimetres = Annotated[float, Field(strict=True, gt=0.0, le=1e3 * LONGEST), Unit("mm")]
+Micrometres = Annotated[float, Field(strict=True, ge=1e6 * PITCHES[0], le=1e6 * PITCHES[1]), Unit("um")]
 Pixels = Annotated[float, Field(strict=True, gt=0.0), Unit("pixels")]
 OnMap = Annotated[float, Field(strict=True, ge=-1e8, le=1e8), Unit("m")]
 _Pixels = Annotated[float, Field(strict=True, gt=0.0)]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import names_of, refuse_doubles
-from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, read_csv
+from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, check_not_shares, read_csv
 from jaxgeo.io._text import read_text
 from jaxgeo.io._unread_columns import unread_columns
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
@@ -93,6 +93,7 @@ def read_check_points(
     image, point = names_of(table, "image"), names_of(table, "point")
     refuse_doubles(table, zip(image.tolist(), point.tolist(), strict=True), "image {0}, point {1}: measured twice")
     uv = np.stack([table.numbers(name, limits) for name, limits in PIXEL_COLUMNS.items()], axis=-1)
+    check_not_shares(path, uv)
     lat, lon, height = (table.numbers(name, limits) for name, limits in PLACE.items())
     try:
         height = ellipsoidal_heights(lon, lat, height, height_datum)

@@ -153,8 +153,8 @@ def _batch(batch: ObservationBatch, lanes: np.ndarray, uv: np.ndarray) -> Observ
     """Pixels of exposures of a batch, given (row, index of the exposure) of each."""
     rows, index = lanes.T
     observation, sources = batch.at(index)
-    heights = None if batch.centre_heights is None else batch.centre_heights[index]
-    return ObservationBatch(Observation(observation.exposure, uv), sources, rows, batch.is_one_camera, heights)
+    heights = batch.reported_heights(index)
+    return ObservationBatch(Observation(observation.exposure, uv), sources, rows, batch.is_one_camera, *heights)
 
 
 def _dense(corners: np.ndarray) -> np.ndarray:

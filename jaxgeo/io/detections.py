@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._text_numbers import numbers_or_texts
-from jaxgeo.io._csv import Limits, read_csv
+from jaxgeo.io._csv import Limits, check_not_shares, read_csv
 from jaxgeo.io._json import read_json
 from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError
@@ -100,7 +100,8 @@ def read_detections(path: str | os.PathLike[str], *, pixel_origin: str = "centre
 
     `pixel_origin` is where (0, 0) of CSV and GeoJSON lies: at the "centre" of the first pixel or its outer "corner".
     Raises `TableError` (row or number of the detection named) for a file in another form, without detections, and for
-    values that are missing, not finite or no polygons; `ValueError` for another origin; `FileNotFoundError`.
+    values that are missing, not finite or no polygons, or in CSV, GeoJSON and COCO shares of the image;
+    `ValueError` for another origin; `FileNotFoundError`.
     """
     if pixel_origin not in ORIGINS:
         raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
@@ -134,7 +135,9 @@ def _table(path: pathlib.Path, back: float) -> list[Detection]:
             f"{path}: no columns u, v, nor {', '.join(BOX)}; give the pixel of each detection, or its box."
         )
     names = BOX if has_box else ("u", "v")
-    numbers = np.stack([table.numbers(name, PIXELS) for name in names], axis=-1) - back
+    numbers = np.stack([table.numbers(name, PIXELS) for name in names], axis=-1)
+    check_not_shares(path, numbers.reshape(-1, 2))
+    numbers -= back
     middles = None
     if has_box and has_point:
         middles = np.stack([table.numbers(name, PIXELS) for name in ("u", "v")], axis=-1) - back
@@ -176,6 +179,8 @@ def _geojson(path: pathlib.Path, content: Mapping[str, Any], back: float) -> lis
             )
         kind = "point" if geometry["type"] == "Point" else "polygon"
         found.append(_checked(where, image.strip(), kind, vertices - back, rest))
+    if found:
+        check_not_shares(path, np.concatenate([one.vertices for one in found]) + back)
     return found
 
 
@@ -209,6 +214,8 @@ def _coco(path: pathlib.Path, content: Any) -> list[Detection]:
         left, top, width, height = _numbers(where, bounds, 4, "bbox (left, top, width, height)")
         vertices = _box((left, top, left + width, top + height)) - 0.5
         found.append(dataclasses.replace(_checked(where, image, "box", vertices, rest), size=size))
+    if found:
+        check_not_shares(path, np.concatenate([one.vertices for one in found]) + 0.5)
     return found
 
 

@@ -14,7 +14,7 @@ from jaxgeo._destination import destination
 from jaxgeo.adjust.records import ImagePoints
 from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._columns import names_of, refuse_doubles
-from jaxgeo.io._csv import CsvTable, Limits, read_csv
+from jaxgeo.io._csv import CsvTable, Limits, check_not_shares, read_csv
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.tables import PIXEL_COLUMNS
 
@@ -47,6 +47,7 @@ def read_image_points(path: str | os.PathLike[str], *, images: Collection[str] |
     if images is not None:
         _check_known(table, image, set(images))
     uv = np.stack([table.numbers(name, limits) for name, limits in PIXEL_COLUMNS.items()], axis=-1)
+    check_not_shares(path, uv)
     sigma = [table.numbers(name, SIGMA) for name in _sigma_columns(table)]
     keys = zip(image.tolist(), point.tolist(), strict=True)
     refuse_doubles(table, keys, "image {0}, point {1}: measured twice")

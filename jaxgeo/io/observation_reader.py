@@ -16,6 +16,7 @@ from jaxgeo._refusals import is_refusal
 from jaxgeo.earth import Atmosphere
 from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet, Unread, for_each, read_acquisition, read_acquisitions
+from jaxgeo.io.acquisitions._camera_checks import camera_doubts
 from jaxgeo.io.acquisitions._exposure_names import number_in_file
 from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, form_of
 from jaxgeo.io.acquisitions.sentences import merged_sentences
@@ -197,7 +198,8 @@ def _of_scene(
     sources = () if scene.errors is None else tuple(scene.errors.sources)
     observation = Observation(Exposure(scene.sensor, motion, None, scene.atmosphere), uv)
     batch = ObservationBatch(observation, sources, np.arange(len(uv)), is_one_camera=True)
-    return Observations((batch,), columns, source=f"{path}")
+    assumed = tuple(camera_doubts(frame_camera_of(scene.sensor)))
+    return Observations((batch,), columns, assumed=assumed, source=f"{path}")
 
 
 def _pixels(pixels: ArrayLike | None, camera: FrameCamera) -> np.ndarray:
@@ -265,7 +267,8 @@ def _batch(
     uv = np.tile(pixels, (len(lanes) // len(pixels), 1))
     heights = None if part.reported is None else np.asarray(part.reported.centre.height)[index]
     observation = Observation(Exposure(sensor, shots, None, atmosphere), uv)
-    return ObservationBatch(observation, sources, rows, centre_heights=heights)
+    above = None if part.above_takeoff is None else part.above_takeoff[index]
+    return ObservationBatch(observation, sources, rows, centre_heights=heights, above_takeoff=above)
 
 
 def _named(files: Sequence[pathlib.Path]) -> str:
@@ -382,6 +385,7 @@ def _completed(
         if part.sensor is None:
             assert scene is not None
             part, beside = _with_sensor(part, scene, scene_file, held), _applicable(part, stated)
+            held.extend(camera_doubts(frame_camera_of(scene.sensor)))
         elif by_scene:
             assert scene is not None
             part = _with_lens_errors(part, stated, frame_camera_of(scene.sensor))

@@ -33,6 +33,7 @@ class ObservationBatch:
     - `sources`: error sources, with a leading axis if the sensor has one.
     - `rows` (n,): the row of each pixel in `Observations`.
     - `centre_heights` (n,): ground heights at the image centres as reported by the file, m, ellipsoidal, or None.
+    - `above_takeoff` (n,): heights above the take-off as reported by the file, m, or None.
     """
 
     observation: Observation
@@ -40,6 +41,7 @@ class ObservationBatch:
     rows: np.ndarray
     is_one_camera: bool = False
     centre_heights: np.ndarray | None = None
+    above_takeoff: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -79,6 +81,11 @@ class ObservationBatch:
         sensor, sources = own if self.is_one_camera else _items(own, index)
         shots, uv = _items((self.shots, self.observation.uv), index)
         return Observation(Exposure(sensor, shots, None, exposure.atmosphere), uv), sources
+
+    def reported_heights(self, index: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """(`centre_heights`, `above_takeoff`) of some of the pixels."""
+        centre, above = self.centre_heights, self.above_takeoff
+        return None if centre is None else centre[index], None if above is None else above[index]
 
 
 def frame_camera_of(sensor: Sensor | None) -> FrameCamera:
@@ -177,8 +184,8 @@ class Observations:
         """Some of the pixels of a batch, with rows of their own; without the files that could not be read."""
         batch = self.batches[number]
         observation, sources = batch.at(index)
-        heights = None if batch.centre_heights is None else batch.centre_heights[index]
-        some = ObservationBatch(observation, sources, np.arange(len(index)), batch.is_one_camera, heights)
+        heights = batch.reported_heights(index)
+        some = ObservationBatch(observation, sources, np.arange(len(index)), batch.is_one_camera, *heights)
         columns = [self.columns[row] for row in batch.rows[index].tolist()]
         return dataclasses.replace(self, batches=(some,), columns=columns, unread={})
 

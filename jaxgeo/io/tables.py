@@ -15,7 +15,7 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._cells import Rows, safe_cell
-from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, gimbal_columns, read_csv
+from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, check_not_shares, gimbal_columns, read_csv
 from jaxgeo.io.geoid import degrees_of
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot
@@ -99,6 +99,8 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels:
     wanted = number_columns(readings, pixels=pixels)
     table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS if pixels else ())
     numbers = {name: table.numbers(name, limits, unknown_too=True) for name, limits in wanted.items()}
+    if pixels:
+        check_not_shares(path, np.stack([numbers[name] for name in PIXEL_COLUMNS], axis=-1))
     nowhere = (numbers["lat_deg"] == 0.0) & (numbers["lon_deg"] == 0.0)  # written by GPS without a position
     for name in ("lat_deg", "lon_deg"):
         numbers[name] = np.where(nowhere, np.nan, numbers[name])

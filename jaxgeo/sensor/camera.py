@@ -15,7 +15,7 @@ from jaxtyping import Array, Int8, Num
 
 from jaxgeo._checks import as_float64, by_numpy_if_known, check_finite, concrete
 from jaxgeo._numerics import safe_angle, safe_norm
-from jaxgeo._record import Record
+from jaxgeo._record import Record, has_numbers, range_text
 from jaxgeo._typing import Flag, Flags, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
 from jaxgeo._typing import Numbers as CrowdNumbers
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
@@ -82,6 +82,10 @@ class AbstractCamera(Record):
         return jnp.array([0.0, 0.0, 1.0])
 
 
+LONGEST = 10.0  # m, focal length
+PITCHES = (1e-7, 1e-3)  # m
+
+
 class FrameCamera(AbstractCamera):
     """Frame camera: pinhole with lens distortion; the whole image is exposed at once.
 
@@ -93,6 +97,20 @@ class FrameCamera(AbstractCamera):
     distortion: AbstractDistortion
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        """Size, focal length and field of view, of several cameras their ranges; fields if they are traced."""
+        if not has_numbers(self.focal_px, self.principal_px):
+            return super().__repr__()
+        focal = np.asarray(self.focal_px)
+        fields = np.rad2deg(2.0 * np.arctan(0.5 * np.array([self.width, self.height]) / focal))
+        across, down = (range_text(fields[..., axis], 2) for axis in (0, 1))
+        count = f"{' x '.join(map(str, focal.shape[:-1]))} cameras, " if focal.ndim > 1 else ""
+        lens = type(self.distortion).__name__
+        return (
+            f"{type(self).__name__}({count}{self.width} x {self.height} pixels, focal length {range_text(focal, 1)} "
+            f"pixels, field of view {across} x {down} deg without distortion, {lens})"
+        )
 
     @classmethod
     def from_metric(
@@ -108,7 +126,8 @@ class FrameCamera(AbstractCamera):
         """Camera from lengths in m: `pixel_pitch` one number or (along columns, along rows).
 
         `principal_point` is the offset (right, down) of the principal point from the centre of the image.
-        Raises `ValueError` for lengths that are not positive and finite, or a size that is not a positive integer.
+        Raises `ValueError` for lengths that are not positive and finite, a focal length above 10 m or a pitch that is
+        not from 0.1 um to 1 mm, or a size that is not a positive integer.
 
         >>> camera = jaxgeo.FrameCamera.from_metric(focal_length=0.05, pixel_pitch=4e-6, width=6000, height=4000)
         >>> across, down = camera.field_of_view()
@@ -117,6 +136,8 @@ class FrameCamera(AbstractCamera):
         """
         check_positive(focal_length, "focal_length", "m", "a 50 mm lens is focal_length=0.050")
         check_positive(pixel_pitch, "pixel_pitch", "m", "pixels of 5 um are pixel_pitch=5e-6")
+        _check_length(focal_length, "focal_length", (0.0, LONGEST), "a 50 mm lens is focal_length=0.050")
+        _check_length(pixel_pitch, "pixel_pitch", PITCHES, "pixels of 5 um are pixel_pitch=5e-6")
         _check_pair_or_number(pixel_pitch, "pixel_pitch")
         check_finite(principal_point, "principal_point", "m")
         focal_length, pitch, offset = as_float64(
@@ -262,6 +283,13 @@ def check_positive(value: Numbers, name: str, unit: str, hint: str) -> None:
     known = concrete(value)
     if known is not None and not np.all(known > 0.0):
         raise ValueError(f"{name} must be positive, in {unit}; got {known.tolist()!r}: {hint}.")
+
+
+def _check_length(value: Numbers, name: str, limits: tuple[float, float], hint: str) -> None:
+    """Raises `ValueError` for a length in m that no camera has, as one in another unit."""
+    known, (low, high) = concrete(value), limits
+    if known is not None and not np.all((known >= low) & (known <= high)):
+        raise ValueError(f"{name} must be in m, from {low:g} to {high:g}; got {known.tolist()!r}: {hint}.")
 
 
 def _check_pair_or_number(value: Numbers, name: str) -> None:

@@ -36,6 +36,7 @@ FOOTPRINT = Footprint()
 AGREEMENT = 0.1  # largest log ratio at which two circular errors agree
 AGREEMENT_UP = 0.15  # the same for linear errors
 NOTHING = 1e-3  # of the circular error: smaller linear errors, as on level ground of known height, are negligible
+UPRIGHT = 2e-3  # of the linear error: smaller circular errors are those of a fix that moves up and down alone
 FEW = 0.01  # probability: a larger share of lines of sight that jump or fail affects a 90 % figure
 SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the two to agree
 NO_FIX = -1  # in place of a `Method`, without a fix
@@ -179,10 +180,12 @@ def _select_method(xp: Any, diagnostics: Any) -> Any:
     calm = (diagnostics.jumps + diagnostics.fails <= FEW) & (diagnostics.known == 1.0) & (diagnostics.grazing > GRAZING)
     calm &= diagnostics.off <= SAME_GROUND
     least = NOTHING * diagnostics.profile
+    upright = _is_upright(xp, diagnostics)
     facet = _agree(xp, diagnostics.facet, diagnostics.profile, AGREEMENT)
     facet &= _agree(xp, diagnostics.facet, diagnostics.footprint, AGREEMENT)
+    facet |= upright
     facet &= _agree(xp, diagnostics.facet_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
-    footprint = _agree(xp, diagnostics.footprint, diagnostics.profile, AGREEMENT)
+    footprint = _agree(xp, diagnostics.footprint, diagnostics.profile, AGREEMENT) | upright
     footprint &= _agree(xp, diagnostics.footprint_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
     code = xp.where(calm & footprint, Method.footprint.value, Method.samples.value)
     return xp.where((calm & facet) | _is_exact(diagnostics), Method.facet.value, code)
@@ -191,6 +194,12 @@ def _select_method(xp: Any, diagnostics: Any) -> Any:
 def _is_exact(diagnostics: Any) -> Any:
     """Whether no error moves the fix, as where all standard deviations are zero."""
     return (diagnostics.facet == 0.0) & (diagnostics.facet_up == 0.0)
+
+
+def _is_upright(xp: Any, diagnostics: Any) -> Any:
+    """Whether errors move the fix up and down alone, as those of the ground's height along a vertical line of sight."""
+    across = xp.maximum(xp.maximum(diagnostics.facet, diagnostics.footprint), diagnostics.profile)
+    return across <= UPRIGHT * diagnostics.facet_up
 
 
 def relative_margin(xp: Any, diagnostics: Any) -> Any:
@@ -218,6 +227,10 @@ def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     """Why this method was selected and no cheaper one, with the deciding figures."""
     if method is Method.facet and bool(_is_exact(jax.device_get(diagnostics))):
         return "No error moves the fix: it is as exact as its input."
+    if method is not Method.samples and bool(_is_upright(jnp, diagnostics)):
+        return (
+            "The errors move the fix up and down alone: the line of sight is vertical, and nothing turns or shifts it."
+        )
     jumps, fails = 100.0 * float(diagnostics.jumps), 100.0 * float(diagnostics.fails)
     circular = _against_profile("CE90", diagnostics.facet, diagnostics.footprint, diagnostics.profile)
     up = _against_profile("LE90", diagnostics.facet_up, diagnostics.footprint_up, diagnostics.profile_up)

@@ -11,9 +11,8 @@ from pydantic import ValidationError
 
 from jaxgeo import FrameCamera
 from jaxgeo.io import TableError
-from jaxgeo.io.acquisitions import _calibrations
 from jaxgeo.io.camera_table import CameraModel, camera_models, known_camera, named_camera
-from jaxgeo.io.given_camera import given_camera, resized, whole_camera
+from jaxgeo.io.given_camera import FILM, FILM_CUT, WIDE, given_camera, resized, whole_camera
 from jaxgeo.io.scene import SceneError
 
 MODELS = camera_models()
@@ -82,13 +81,13 @@ def test_the_rule_of_film_errs_by_what_it_says() -> None:
     """Of whole images, and of those cut to the shape of videos."""
     whole = np.array([film_error(one, *one.sizes[0]) for one in FIXED if one.film_mm])
     cut = [(one, size) for one in FIXED if one.film_mm for size in one.sizes[1:]]
-    wide = np.array([film_error(one, *size) for one, size in cut if size[0] > _calibrations.WIDE * size[1]])
+    wide = np.array([film_error(one, *size) for one, size in cut if size[0] > WIDE * size[1]])
     assert len(whole) >= 40
     assert len(wide) >= 12
-    assert 0.02 < np.sqrt(np.mean(whole**2)) < _calibrations.FILM
-    assert 0.07 < np.sqrt(np.mean(wide**2)) < _calibrations.FILM_CUT
-    assert np.mean(np.abs(whole) < 1.645 * _calibrations.FILM) >= 0.9
-    assert np.mean(np.abs(wide) < 1.645 * _calibrations.FILM_CUT) >= 0.9
+    assert 0.02 < np.sqrt(np.mean(whole**2)) < FILM
+    assert 0.07 < np.sqrt(np.mean(wide**2)) < FILM_CUT
+    assert np.mean(np.abs(whole) < 1.645 * FILM) >= 0.9
+    assert np.mean(np.abs(wide) < 1.645 * FILM_CUT) >= 0.9
 
 
 @pytest.mark.parametrize("make, model, width, height, focal, view, diagonal", VIEWS)

@@ -148,6 +148,10 @@ MISTAKES = {
         ("image,u,v\n,1,2\n", "row 2, column image: empty"),
         ("image,u,v\na.jpg,x,2\n", "row 2, column u: 'x' is not a number"),
         ("image,u_min,v_min,u_max,v_max\na.jpg,5,5,1,9\n", "row 2, column u_max: the box has no area"),
+        (
+            "image,u,v\na.jpg,0.5,1\na.jpg,0.25,0\n",
+            "a.csv: its columns and rows are from 0 to 1, which look",
+        ),
     ],
     "a.json": [
         ([], "a list of COCO results names images by number only"),
@@ -155,6 +159,7 @@ MISTAKES = {
         (coco({"bbox": [1, 2, 3]}), "annotation 1: expected bbox"),
         (coco({"bbox": [1, 2, 0, 3]}), "annotation 1: the box has no area"),
         (coco({"bbox": [1, 2, 3, 4], "image_id": 8}), "annotation 1: its image_id"),
+        (coco({"bbox": [0.1, 0.2, 0.3, 0.4]}), "from 0.1 to 0.6, which look like shares of the image; pixels are exp"),
         (coco({"bbox": [1, 2, None, 4]}), "annotation 1: expected bbox"),
         ({"images": [], "annotations": []}, "there are no detections"),
     ],
@@ -163,6 +168,7 @@ MISTAKES = {
         (feature({"type": "Point", "coordinates": ["x", 1]}), "feature 1: its coordinates are no pairs"),
         (feature({"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [2, 0], [0, 0]]]}), "the polygon has no area"),
         (feature({"type": "Point", "coordinates": [0, 1]}, image=" "), "feature 1: no property image"),
+        (feature({"type": "Point", "coordinates": [0.5, 0.25]}), "look like shares of the image"),
         ({"type": "FeatureCollection", "features": 3}, "its features are no list"),
     ],
     "a.txt": [("0 0.5 0.5 0.1 0.1\n", "give the folder")],

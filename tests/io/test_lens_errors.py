@@ -13,11 +13,12 @@ import pytest
 
 import jaxgeo
 from jaxgeo import FrameCamera
-from jaxgeo.io import with_usual_errors
+from jaxgeo.io import TableError, given_camera, read_acquisition, with_usual_errors
 from jaxgeo.io.acquisitions import _calibrations, read_drone_images
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.uncertainty import ErrorModel, accuracy
 from jaxgeo.uncertainty.sources import InteriorOrientation
+from tests.io.test_flight_logs import subtitles
 from tests.support.drone_image_files import packet, write_image
 from tests.support.klv_packets import local_set, usual, whole
 
@@ -64,6 +65,29 @@ def test_the_worst_focal_lengths_lie_within_two_standard_deviations(tmp_path: pa
     camera: Any = found.sensor.camera
     (sigma,) = [float(one.sigma[0, 0]) for one in found.sources if one.label == "interior orientation"]
     assert abs(truth - 1.0) * float(camera.focal_px[0, 0]) < 2.0 * sigma
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "b.srt", "c.klv"])
+def test_a_film_equivalent_that_is_given_is_that_of_images(tmp_path: pathlib.Path, name: str) -> None:
+    """One rule, by the diagonals, with one standard deviation, for all kinds of files."""
+    size = (400, 225)
+    write_image(tmp_path / "a.jpg", packet(TAGS | RTK), make="DJI", model="FC9999", exif={0xA405: 24}, size=size)
+    (tmp_path / "b.srt").write_text(subtitles())
+    (tmp_path / "c.klv").write_bytes(local_set(usual()))
+    datum = None if name == "c.klv" else "ellipsoid"
+    found = read_acquisition(tmp_path / name, height_datum=datum, camera="film=24mm,size=400x225")
+    assert found.sensor is not None
+    camera: Any = found.sensor.camera
+    focal = 24.0 * np.hypot(*size) / np.hypot(36.0, 24.0)
+    np.testing.assert_allclose(camera.focal_px, focal, rtol=1e-12)
+    (source,) = [one for one in found.sources if isinstance(one, InteriorOrientation)]
+    np.testing.assert_allclose(source.sigma, [[0.09 * focal, 0.0, 0.0]] * len(found), rtol=1e-12)
+    said = " ".join(found.assumed)
+    assert "Focal length sigma: 9 %, 22.9 pixels" in said
+    assert "without error" not in said
+    assert "has no error." not in said
+    with pytest.raises(TableError, match="film=, goes with size= alone"):
+        read_acquisition(tmp_path / name, height_datum=datum, camera="film=24mm,sensor=36mm,size=400x225")
 
 
 @pytest.mark.slow
@@ -138,4 +162,4 @@ def test_every_way_to_a_focal_length_has_its_error(tmp_path: pathlib.Path) -> No
         assert any(line.startswith("Focal length sigma: ") for line in found.assumed)
     assert list(shares) == sorted(shares, key=lambda name: shares[name])
     assert shares["DewarpData"] == pytest.approx(_calibrations.CALIBRATED)
-    assert shares["film"] == pytest.approx(np.hypot(_calibrations.FILM, _calibrations.BENT))
+    assert shares["film"] == pytest.approx(np.hypot(given_camera.FILM, _calibrations.BENT))

@@ -176,6 +176,7 @@ def test_marks_without_a_solution_are_no_positions(folder: pathlib.Path) -> None
 REFUSED = {
     "other names": (GEO.replace("0001", "0007"), {}, "it has none of the images: they are DJI_0001.JPG, DJI_0002.JPG"),
     "swapped": (GEO.replace("-84.2000 36.3000", "36.3000 -84.2000"), {}, "km from that in the image"),
+    "feet": (GEO.replace("900.0", "2952.7"), {}, r"DJI_0001.JPG lies 2\d+ m above the altitude .*; .* in m\?"),
     "zero": (GEO.replace("-84.2000 36.3000", "0.0 0.0"), {}, "latitude and longitude are zero"),
     "no number": (GEO.replace("900.0", "high"), {}, "column z_m: 'high' is not a number"),
     "unknown height": (GEO.replace("900.0", "-9999"), {}, "column z_m: unknown"),
@@ -199,6 +200,16 @@ def test_files_that_do_not_fit_are_refused_in_a_line(folder: pathlib.Path, case:
     with pytest.raises(TableError, match=words) as refusal:
         read(folder, path, **({"height_datum": "ellipsoid"} | how))
     assert "\n" not in str(refusal.value)
+
+
+def test_heights_that_are_far_from_those_in_the_images_are_doubtful(folder: pathlib.Path) -> None:
+    own = float(read_acquisition(folder, height_datum="ellipsoid").shots.pose.position.height[0])
+    for above, is_far in ((150.0, False), (-250.0, True)):
+        text = GEO.replace("900.0", f"{own + above}")
+        found = read(folder, written(folder, "positions.txt", text), height_datum="ellipsoid")
+        told = [one for one in found.assumed if one.startswith("Check")]
+        assert len(told) == is_far
+        assert all("lies 250 m below the altitude in the image" in one for one in told)
 
 
 def test_marks_of_another_flight_are_told_by_their_times(folder: pathlib.Path) -> None:

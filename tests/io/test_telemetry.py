@@ -8,6 +8,7 @@ of `support.klv_packets`, written from the standard; transport streams as FFmpeg
 from __future__ import annotations
 
 import pathlib
+import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -535,6 +536,10 @@ def test_corners_of_a_real_flight(jaxgeo_test_data: pathlib.Path) -> None:
     assert np.percentile(np.abs(told), 50) > 3.0
     assert np.percentile(np.abs(level), 50) < 0.1
     assert np.percentile(np.abs(level), 95) < 0.5
+    (said,) = [one for one in read_telemetry(path).assumed if "upright=True" in one]
+    turns = [float(one) for one in re.findall(r"[-+]\d+\.\d", said)]
+    np.testing.assert_allclose(turns, [np.median(told), np.median(level)], atol=0.1)
+    assert not any("own corners" in one for one in read_telemetry(path, upright=True).assumed)
 
 
 def test_upright_images(file: File) -> None:
@@ -562,6 +567,7 @@ def test_corners_in_full_and_by_their_offsets(file: File) -> None:
     found = compare_reported(read_telemetry(file(*packets, MADE, MADE)))
     np.testing.assert_allclose(np.degrees(found.turn[:3]), [0.0, -20.0, 10.0], atol=0.3)
     assert np.isnan(found.turn[3:]).all()
+    assert not any("own corners" in one for one in read_telemetry(file(packets[0])).assumed)
 
 
 def code(value: float, bound: float, layout: str = ">i") -> bytes:

@@ -126,6 +126,7 @@ REASONS = [
         Method.facet,
         "nearly planar within the error region",
     ),
+    ({"facet": 1e-16, "footprint": 0.0, "profile": 3e-3}, Method.facet, "move the fix up and down alone"),
     ({"profile_up": math.nan}, Method.samples, "unbounded or unknown: CE90 is the same"),
     ({"profile": math.inf}, Method.samples, "unbounded or unknown: CE90 is unknown over the ground along the line"),
     (

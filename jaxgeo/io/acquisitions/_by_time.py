@@ -93,6 +93,7 @@ def at_times(found: Acquisition, times: Times) -> Acquisition:
         sources=sources,
         assumed=(*found.assumed, *notes),
         reported=None if found.reported is None else _reported(found.reported, rows),
+        above_takeoff=None if found.above_takeoff is None else found.above_takeoff[rows],
         tags=tuple(found.tags[k] for k in nearest) if found.tags else (),
     )
 

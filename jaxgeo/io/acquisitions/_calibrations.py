@@ -14,11 +14,10 @@ from jaxgeo.io._csv import Limits
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.camera_table import KnownCamera, known_camera
 from jaxgeo.io.errors import TableError
-from jaxgeo.io.given_camera import CLOSE, FORMS
+from jaxgeo.io.given_camera import CLOSE, FORMS, focal_of_film, sigma_of_film
 
 OFF_CENTRE = 0.1  # of half the image: largest offset of the principal point from the centre
 LONGEST_FOCAL = 50.0  # widths of the image: 1800 mm on 35 mm film, more than twice what drones zoom to
-FILM_DIAGONAL = math.hypot(36.0, 24.0)  # mm
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # mm, of FocalPlaneResolutionUnit
 MILLIMETRES: Limits = (1e-3, 1e5, "mm")
 PIXELS: Limits = (1.0, 1e7, "pixels")
@@ -28,12 +27,10 @@ UNDISTORTED = (
 )
 # Relative standard deviations of the focal length: of a calibration of this very camera, of a design value, of lengths
 # in mm rounded by EXIF, and of an unknown lens distortion, whose displacement at the corners acts there like a wrong
-# focal length. From 35 mm equivalents: against calibrations of 15 models the error was -10 to +2 %, which 1.645 times
-# 6 % covers; for images cropped to a video aspect ratio it was 9 % over the package's table of cameras.
-CALIBRATED, DESIGNED, ROUNDED, BENT, FILM, FILM_CUT = 0.003, 0.01, 0.02, 0.02, 0.06, 0.09
+# focal length.
+CALIBRATED, DESIGNED, ROUNDED, BENT = 0.003, 0.01, 0.02, 0.02
 # Of the principal point, relative to the width: calibrated, and assumed at the image centre or from the design.
 CALIBRATED_POINT, MIDDLE = 0.001, 0.005
-WIDE = 1.6  # aspect ratio above which an image was cropped from a 4:3 or 3:2 detector
 
 
 @dataclass(frozen=True)
@@ -278,9 +275,7 @@ def _exif_film(tags: ImageTags, width: int, height: int) -> Calibration | None:
         film = tags.number("EXIF:FocalLengthIn35mmFilm", (0.0, 1e5, "mm"))
     if not film:
         return None
-    focal = film * math.hypot(width, height) / FILM_DIAGONAL
-    is_cut = max(width, height) > WIDE * min(width, height)
-    sigma = FILM_CUT if is_cut else FILM
+    focal, sigma = focal_of_film(film, width, height), sigma_of_film(width, height)
     note = (
         f"The focal length is only known as that of a 35 mm film ({film:g} mm): it is taken to be in proportion to the "
         f"diagonals of image and film (sigma {100 * sigma:g} %); the principal point as the middle of the image."

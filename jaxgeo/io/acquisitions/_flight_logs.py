@@ -18,6 +18,8 @@ from jaxgeo.io.acquisitions._attitudes import attitudes_of
 from jaxgeo.io.acquisitions._takeoff import heights_above_takeoff
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
+from jaxgeo.io.acquisitions.sentences import heights_are
+from jaxgeo.io.datum_names import known_datum
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.given_camera import AS_GIVEN, OWN_CAMERA
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -110,8 +112,15 @@ def acquisition_of_records(
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,
         of_camera=not of_body,
+        above_takeoff=_above_takeoff(known),
         start=min(record.time for record in records if math.isfinite(record.time)) if timed else None,
     )
+
+
+def _above_takeoff(records: Sequence[LogRecord]) -> np.ndarray | None:
+    """Heights (n,) in m above the take-off, NaN where the log does not tell them; None if it never does."""
+    found = np.array([record.numbers.get("above_takeoff") for record in records], np.float64)
+    return found if np.isfinite(found).any() else None
 
 
 def _without_nan(record: LogRecord) -> LogRecord:
@@ -210,7 +219,8 @@ def _heights(
             f"{CHOICES.removesuffix('.')}{choice}."
         )
     try:
-        return ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum), []
+        heights = ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum)
+        return heights, [heights_are(known_datum(datum))]
     except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
@@ -9,13 +11,16 @@ from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions._takeoff import heights_above_takeoff
 from jaxgeo.io.acquisitions.record import UnstatedDatum
-from jaxgeo.io.datum_names import is_ellipsoid
+from jaxgeo.io.acquisitions.sentences import DOUBT, heights_are
+from jaxgeo.io.datum_names import is_ellipsoid, known_datum
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 
 LAT: Limits = (-90.0, 90.0, "deg")
 LON: Limits = (-180.0, 180.0, "deg")
 HEIGHT = POSE_COLUMNS["height_m"]
+RTK = "drone-dji:RtkFlag"
+FAR_TAKEOFF = 15.0  # m: three usual standard deviations of an elevation model
 
 
 def lat_lon_of(tags: list[ImageTags], maker: Maker) -> tuple[np.ndarray, np.ndarray]:
@@ -68,7 +73,10 @@ def heights_of(
             raise TableError(f"{first.path}: its maker does not tell heights above the take-off; give height_datum=.")
         above = np.array([_needed(one, maker.relative) for one in tags])
         heights, where = heights_above_takeoff(first.path, lon, lat, above, takeoff_height, height_datum)
-        return heights, [f"Heights are {maker.relative} above {where}, as the barometer has them."]
+        notes = [f"Heights are {maker.relative} above {where}, as the barometer has them."]
+        if takeoff_height != 0.0 or height_datum is not None:  # else the take-off is the level of reference
+            notes += _other_takeoff(tags, maker, heights - above, above)
+        return heights, notes
     heights = np.array([_altitude(one, maker) for one in tags])
     if maker.datum and all(one.text(maker.datum).lower().startswith("ellips") for one in tags):
         if not (height_datum is None or is_ellipsoid(height_datum)):
@@ -77,11 +85,58 @@ def heights_of(
     if height_datum is None:
         raise UnstatedDatum(_which_datum(first, maker))
     try:
-        return ellipsoidal_heights(lon, lat, heights, height_datum), []
+        found = ellipsoidal_heights(lon, lat, heights, height_datum)
     except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{first.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{first.path}: {error}") from error
+    notes = [heights_are(known_datum(height_datum))]
+    if isinstance(height_datum, str) and not is_ellipsoid(height_datum) and any(map(_is_by_rtk, tags)):
+        off = float(np.median(found - heights))
+        notes.append(
+            f"{DOUBT}Altitudes by RTK (RtkFlag {first.shown(RTK)}) are usually above the ellipsoid; above "
+            f"{known_datum(height_datum)}, as given, they are {abs(off):.1f} m {'higher' if off > 0.0 else 'lower'}. "
+            f'Give height_datum="ellipsoid", unless the reference station works with heights above that.'
+        )
+    return found, notes
+
+
+def _other_takeoff(tags: list[ImageTags], maker: Maker, takeoff: np.ndarray, above: np.ndarray) -> list[str]:
+    """A sentence if altitudes above the ellipsoid, less those above the take-off, contradict its height."""
+
+    def altitude(one: ImageTags) -> float:
+        with contextlib.suppress(TableError):  # unknown, and not needed here
+            return _altitude(one, maker) if _is_by_rtk(one) else np.nan
+        return np.nan
+
+    told = np.array([altitude(one) for one in tags]) - above
+    known = np.isfinite(told)
+    off = float(np.median((told - takeoff)[known])) if known.any() else 0.0
+    if abs(off) < FAR_TAKEOFF:
+        return []
+    side = "lower" if off < 0.0 else "higher"
+    return [
+        f"{DOUBT}Absolute less relative altitude gives {np.median(told[known]):.1f} m above the ellipsoid for the "
+        f"take-off, {abs(off):.1f} m {side} than takeoff_height=: the take-off was elsewhere, or the elevation model "
+        f'has trees there. Give height_datum="ellipsoid" in place of takeoff_height=.'
+    ]
+
+
+def _is_by_rtk(tags: ImageTags) -> bool:
+    """Whether the altitude is a solution of RTK, which is above the ellipsoid."""
+    return RTK in tags.values and not tags.unknown("position errors", (RTK,))
+
+
+def above_takeoff_of(tags: list[ImageTags], maker: Maker) -> np.ndarray | None:
+    """Heights (n,) in m above the take-off as far as the files tell them, NaN else; None if none does."""
+
+    def above(one: ImageTags) -> float:
+        with contextlib.suppress(TableError):  # a damaged tag, which no line of sight depends on
+            return np.nan if (found := one.number(maker.relative, HEIGHT)) is None else found
+        return np.nan
+
+    found = np.array([above(one) for one in tags])
+    return found if np.isfinite(found).any() else None
 
 
 def _needed(tags: ImageTags, name: str) -> float:

@@ -10,7 +10,9 @@ import numpy as np
 from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions._klv_columns import DERIVED, HELD, LONGEST_HELD, Columns, Numbers, Values, lacking
 from jaxgeo.io.acquisitions.klv import Packet
+from jaxgeo.io.acquisitions.sentences import heights_are
 from jaxgeo.io.acquisitions.st0601 import label
+from jaxgeo.io.datum_names import known_datum
 from jaxgeo.io.given_camera import FORMS
 
 TEXTS = (3, 4, 10, 11, 12, 59, 65)  # text tags for display
@@ -94,6 +96,8 @@ def assumed(
             "Heights are above mean sea level, and the standard names no geoid: EGM96 (EPSG:5773); height_datum= says "
             "another."
         )
+    if from_msl.any() and datum is not None:
+        notes.append(heights_are(known_datum(datum)))
     if datum is not None and not from_msl.all():
         notes.append(
             f"{(~from_msl).sum()} packets have heights above the ellipsoid, so height_datum was not used there."

@@ -14,8 +14,9 @@ from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io.acquisitions._attitudes import attitudes_of
-from jaxgeo.io.acquisitions.blocks import CHOICES, heights_are
+from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
+from jaxgeo.io.acquisitions.sentences import heights_are
 from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.orientations import has_vertical
 from jaxgeo.io.scene import ellipsoidal_heights

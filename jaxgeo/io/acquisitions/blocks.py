@@ -16,6 +16,7 @@ from jaxgeo.io._json import read_json, shown
 from jaxgeo.io._map_grid import understood_crs
 from jaxgeo.io._orientation_columns import datum_of, read_orientation_columns
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
+from jaxgeo.io.acquisitions.sentences import heights_are
 from jaxgeo.io.errors import A_WRONG_GUESS, TableError
 from jaxgeo.io.given_camera import AS_GIVEN, AS_READ
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm
@@ -141,14 +142,6 @@ def acquisition_of_orientations(
 
 _INDEPENDENT = "Errors of one image are independent of another's: the file states none of their correlations."
 _READ = ("rotation", "translation", "camera")
-
-
-def heights_are(datum: str | float | None, stated: str = "as given") -> str:
-    """Sentence: the datum of the heights, and where it is stated."""
-    if datum is None:
-        return "Heights are above what the file's map says."
-    surface = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
-    return f"Heights are above {'the WGS 84 ellipsoid' if datum == 'ellipsoid' else surface}, {stated}."
 
 
 def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:

@@ -17,6 +17,8 @@ from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions._by_time import by_time
+from jaxgeo.io.acquisitions._camera_checks import with_camera_doubts
+from jaxgeo.io.acquisitions._film_errors import with_film_errors
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.ardupilot import BINARY as DATAFLASH
@@ -117,8 +119,8 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
 def reader_of(form: Form, given: Mapping[str, Any]) -> Callable[..., Acquisition]:
     """The reader of a kind of file; Orthority parameters differ from a table only by the option `interior`."""
     if form is ORTHORITY_OR_TABLE:
-        return (ORTHORITY if "interior" in given else ORIENTATIONS).read
-    return form.read
+        form = ORTHORITY if "interior" in given else ORIENTATIONS
+    return with_camera_doubts(with_film_errors(form.read, given.get("camera")))
 
 
 def checked_options(path: str | os.PathLike[str], form: Form, given: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -14,7 +14,15 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import Limits
 from jaxgeo.io.acquisitions._given_angles import angles_given, checked_angles, given_note
 from jaxgeo.io.acquisitions._image_cameras import GivenCamera, sensor_of_images, span_shown
-from jaxgeo.io.acquisitions._image_positions import HEIGHT, LAT, LON, altitude_shown, heights_of, lat_lon_of
+from jaxgeo.io.acquisitions._image_positions import (
+    HEIGHT,
+    LAT,
+    LON,
+    above_takeoff_of,
+    altitude_shown,
+    heights_of,
+    lat_lon_of,
+)
 from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags
 from jaxgeo.io.acquisitions._image_times import time_of
 from jaxgeo.io.acquisitions._makers import Maker, aircraft_of, angles_of, maker_of
@@ -112,6 +120,7 @@ def read_drone_images(
             "position errors": errors,
         },
         reported=_reported(tags),
+        above_takeoff=above_takeoff_of(tags, maker),
         tags=tuple(one.values for one in tags),
         time_is_utc=is_utc,
     )

@@ -30,12 +30,12 @@ from jaxgeo.io.acquisitions.blocks import (
     NO_TIMES,
     acquisition_of_orientations,
     check_one_size,
-    heights_are,
     rows_of,
     sensor_of,
     shots_of,
 )
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
+from jaxgeo.io.acquisitions.sentences import heights_are
 from jaxgeo.io.errors import A_WRONG_GUESS, TableError, VerticalDatumError
 from jaxgeo.io.given_camera import AS_READ
 from jaxgeo.io.limits import NESTING, PARAMETER_BYTES

@@ -17,11 +17,13 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io.acquisitions._position_tables import PositionTable, read_positions
 from jaxgeo.io.acquisitions._tracks import at_times
 from jaxgeo.io.acquisitions.record import Acquisition
+from jaxgeo.io.acquisitions.sentences import DOUBT
 from jaxgeo.io.errors import TableError
 from jaxgeo.uncertainty.sources import Position
 
 NUMBER = re.compile(r"(?<!\d)(\d{4})(?!\d)")  # photo number in a name: DJI_0001.JPG, DJI_20230615124530_0001_V.JPG
 FAR = 1000.0  # m between an image's own position and the table's: beyond it is another flight
+FAR_UP = 200.0  # m between the two heights: more than the undulation of the geoid and the error of a barometer
 LATE = 1.0  # s: tolerance between an image and its mark when joined by time
 SPREAD = 10.0  # s: allowed spread of clock differences when joined by number
 EARTH_RADIUS = 6.371e6  # m
@@ -49,7 +51,7 @@ def with_positions(
     - `crs`: the CRS of its positions, if they are projected and the file does not state it.
 
     Raises `UnstatedDatum`; `TableError` if the file has none of the exposures, and for a position more than 1 km from
-    that in the image; as the readers.
+    that in the image, or higher or lower by as much (from 200 m on a sentence in `assumed`); as the readers.
     """
     require_x64()
     check_is(found, Acquisition, "found")
@@ -66,10 +68,10 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
     if not len(kept):
         raise TableError(_none_joined(found, table))
     _check_clocks(found, table, kept, rows[kept])
-    _check_near(found, table, kept, rows[kept])
+    doubts = _check_near(found, table, kept, rows[kept])
     pick = rows[kept]
-    own = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], (found.sensor, found.shots, found.sources, found.reported))
-    sensor, shots, sources, reported = own
+    own = found.sensor, found.shots, found.sources, found.reported, found.above_takeoff
+    sensor, shots, sources, reported, above_takeoff = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], own)
     height = table.position.height[pick] if table.has_heights else shots.pose.position.height
     position = Geodetic(lat=table.position.lat[pick], lon=table.position.lon[pick], height=height)
     shots = dataclasses.replace(shots, pose=dataclasses.replace(shots.pose, position=position))
@@ -83,8 +85,9 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
         shots=shots,
         sources=others,
         reported=reported,
+        above_takeoff=above_takeoff,
         tags=tuple(found.tags[k] for k in kept) if found.tags else (),
-        assumed=(*_of_images(found, table), *table.assumed, *_notes(found, table, kept, pick)),
+        assumed=(*_of_images(found, table), *table.assumed, *_notes(found, table, kept, pick), *doubts),
         facts={**found.facts, "positions": f"{table.form}, {len(kept)} of {len(found)} images, by {by}"},
     )
 
@@ -175,7 +178,9 @@ def _check_clocks(found: Acquisition, table: PositionTable, kept: np.ndarray, ro
         )
 
 
-def _check_near(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> None:
+def _check_near(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> list[str]:
+    """A sentence on heights that are far from those in the images. Raises `TableError` for positions of another flight,
+    and for heights as far away."""
     own = found.shots.pose.position
     lat, lon = np.asarray(own.lat)[kept], np.asarray(own.lon)[kept]
     north = EARTH_RADIUS * (table.position.lat[rows] - lat)
@@ -187,6 +192,19 @@ def _check_near(found: Acquisition, table: PositionTable, kept: np.ndarray, rows
             f"{table.path}: the position of {found.names[kept[k]]} lies {distance[k] / 1e3:.1f} km from that in the "
             f"image; are they of one flight, and longitude and latitude in this order?"
         )
+    if not table.has_heights:
+        return []
+    above = table.position.height[rows] - np.asarray(own.height)[kept]
+    k = int(np.argmax(np.abs(above)))
+    if abs(above[k]) < FAR_UP:
+        return []
+    said = (
+        f"{table.path}: the position of {found.names[kept[k]]} lies {abs(above[k]):.0f} m "
+        f"{'above' if above[k] > 0.0 else 'below'} the altitude in the image; are its heights in m?"
+    )
+    if abs(above[k]) > FAR:
+        raise TableError(said)
+    return [f"{DOUBT}{said}"]
 
 
 def _none_joined(found: Acquisition, table: PositionTable) -> str:

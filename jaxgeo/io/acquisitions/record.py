@@ -43,6 +43,7 @@ class Acquisition:
     - `assumed`: a sentence for each assumption of the reader.
     - `facts`: contents of the file for display: name and value.
     - `reported`: the ground position reported by the file, for comparison.
+    - `above_takeoff` (n,): the height above the take-off as reported by the file, m, NaN where unknown; or None.
     - `of_camera`: whether poses without a sensor are the camera's own, as of a body that carries it in
       `Mount.nadir()` with `Gimbal.fixed()`: then only the camera of a scene applies to them.
     - `start`: the time of the first record of the file, from which the times of a video count; None if unknown.
@@ -58,6 +59,7 @@ class Acquisition:
     assumed: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     reported: Reported | None = None
+    above_takeoff: np.ndarray | None = None
     tags: tuple[Mapping[str, Any], ...] = ()
     time_is_utc: bool = False
     of_camera: bool = False

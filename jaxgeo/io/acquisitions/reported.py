@@ -46,12 +46,12 @@ def compare_reported(acquisition: Acquisition) -> Comparison:
         missing = "no camera" if acquisition.sensor is None else "no centres of images"
         raise ValueError(f"{acquisition.path}: there is {missing} to compare with.")
     stated = acquisition.reported
-    found = _apart(acquisition.sensor, acquisition.shots, stated.centre, _corners(acquisition))
+    found = _apart(acquisition.sensor, acquisition.shots, stated.centre, reported_corners(acquisition))
     distance, *rest = (np.asarray(x) for x in found)
     return Comparison(stated.slant_range - distance, *rest)
 
 
-def _corners(acquisition: Acquisition) -> np.ndarray:
+def reported_corners(acquisition: Acquisition) -> np.ndarray:
     """Latitudes and longitudes (n, 4, 2) of the reported corners, rad: absolute, else from their offsets, else NaN."""
     assert acquisition.reported is not None
     tags = acquisition.tags or ({},) * len(acquisition)

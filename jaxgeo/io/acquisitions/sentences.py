@@ -1,11 +1,20 @@
-"""Merging of sentences from many files, with the number of files that each applies to."""
+"""Sentences of readers: what calls for a check, and merging of many files, with the number that each applies to."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
+DOUBT = "Check: "  # begins a sentence on input that contradicts itself; the command line shows it in a line of its own
 _NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
+def heights_are(datum: str | float | None, stated: str = "as given") -> str:
+    """Sentence: the datum of the heights, and where it is stated."""
+    if datum is None:
+        return "Heights are above what the file's map says."
+    surface = f"{datum}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
+    return f"Heights are above {'the WGS 84 ellipsoid' if datum == 'ellipsoid' else surface}, {stated}."
 
 
 def merged_sentences(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:

@@ -253,6 +253,7 @@ def _joined(found: list[Acquisition]) -> Acquisition:
         assumed=merged_sentences([one.assumed for one in found], "file"),
         facts=_facts(found),
         reported=_reported(found),
+        above_takeoff=_above_takeoff(found),
         tags=tuple(tags for one in found for tags in (one.tags or [{}] * len(one))) if has_tags else (),
         time_is_utc=all(one.time_is_utc for one in found),
         of_camera=first.of_camera,
@@ -270,6 +271,15 @@ def _facts(found: list[Acquisition]) -> dict[str, str]:
             f"; and {more} other value{'s' if more != 1 else ''} in other files" if more else ""
         )
     return merged
+
+
+def _above_takeoff(found: list[Acquisition]) -> np.ndarray | None:
+    """The heights above the take-off, NaN for files without."""
+    if all(one.above_takeoff is None for one in found):
+        return None
+    return np.concatenate(
+        [np.full(len(one), np.nan) if one.above_takeoff is None else one.above_takeoff for one in found]
+    )
 
 
 def _reported(found: list[Acquisition]) -> Reported | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import pathlib
 
@@ -13,9 +14,11 @@ from jaxgeo.io._bounded import read_bytes
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io.acquisitions._klv_camera import camera_of, lens_errors, sensor_of, size_of, usual_size
 from jaxgeo.io.acquisitions._klv_columns import Columns, lacking, numbers_of
+from jaxgeo.io.acquisitions._klv_corners import level_images
 from jaxgeo.io.acquisitions._klv_notes import assumed, damage, facts, left_out, times_unknown
 from jaxgeo.io.acquisitions.klv import LEADING, UAS_LOCAL_SET, other_sets, packets
 from jaxgeo.io.acquisitions.record import Acquisition, Reported
+from jaxgeo.io.acquisitions.reported import reported_corners
 from jaxgeo.io.acquisitions.st0601 import decode, label
 from jaxgeo.io.acquisitions.transport_stream import HEAD, is_transport_stream, read_transport_stream
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
@@ -91,7 +94,7 @@ def read_telemetry(
     if given is None:
         source, note = lens_errors(numbers, sensor)
         sources, notes = (source,), [*notes, note]
-    return Acquisition(
+    acquisition = Acquisition(
         path=os.fspath(path),
         form=FORM,
         names=np.array([k for (k, _), use in zip(sound, usable, strict=True) if use]).astype(str),
@@ -105,6 +108,11 @@ def read_telemetry(
         time_is_utc=bool(np.isfinite(columns["time"]).all()),
         start=start,
     )
+    if upright:
+        return acquisition
+    corners = reported_corners(acquisition)
+    turned = level_images(columns, _level_turn(columns), shots.pose.position, corners, centre.height)
+    return dataclasses.replace(acquisition, assumed=(*notes, *turned))
 
 
 def _content(path: pathlib.Path, stream: int | None) -> tuple[bytes, tuple[int, int] | None]:

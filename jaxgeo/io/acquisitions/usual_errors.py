@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
+from jaxgeo.sensor import Gimbal
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
 
 POSITION = (3.0, 3.0, 5.0)  # m north, east, down: a GNSS receiver without corrections
@@ -38,9 +40,17 @@ def with_usual_errors(found: Acquisition) -> Acquisition:
 
 def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
     """The sources that `with_usual_errors` adds, common to all exposures, each with its sentence."""
-    stated = [type(source) for source in found.sources]
-    made = [] if Position in stated else [_position()]
-    return made if Attitude in stated or GimbalAngles in stated else [*made, *_angles(found)]
+    gimbal = None if found.sensor is None else found.sensor.gimbal
+    return usual_errors(found.sources, gimbal, of_drone=found.form in OF_DRONES)
+
+
+def usual_errors(
+    stated: Sequence[AbstractSource], gimbal: Gimbal | None, *, of_drone: bool = False
+) -> list[tuple[AbstractSource, str]]:
+    """Default sources of position, attitude and gimbal beside those stated, each with its sentence."""
+    kinds = [type(source) for source in stated]
+    made = [] if Position in kinds else [_position()]
+    return made if Attitude in kinds or GimbalAngles in kinds else [*made, *_angles(gimbal, of_drone)]
 
 
 def _position() -> tuple[AbstractSource, str]:
@@ -49,12 +59,11 @@ def _position() -> tuple[AbstractSource, str]:
     return Position.from_ned(north=north, east=east, down=down), note
 
 
-def _angles(found: Acquisition) -> list[tuple[AbstractSource, str]]:
-    gimbal = None if found.sensor is None else found.sensor.gimbal
+def _angles(gimbal: Gimbal | None, of_drone: bool) -> list[tuple[AbstractSource, str]]:
     is_level = gimbal is not None and gimbal.reference == "level"
     made: list[tuple[AbstractSource, str]] = []
     if not is_level:
-        heading, pitch, roll = (LEVEL["yaw"], LEVEL_ELSE, LEVEL_ELSE) if found.form in OF_DRONES else ATTITUDE
+        heading, pitch, roll = (LEVEL["yaw"], LEVEL_ELSE, LEVEL_ELSE) if of_drone else ATTITUDE
         note = f"Attitude sigma: {heading:g}, {pitch:g}, {roll:g} deg (heading, pitch, roll; default)."
         made.append((Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll), note))
     if gimbal is not None and gimbal.names:
