@@ -22,6 +22,7 @@ from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, print_written, track
+from jaxgeo.cli._unseen_ground import print_unseen
 
 HIT = "hit"  # the status of a whole footprint
 ENDINGS = (".geojson", ".json", ".gpkg")
@@ -81,9 +82,10 @@ def footprint_command(
         given.check(how)
         check_ground(ground)
         check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
-        exposures, rows, outlines = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
+        exposures, rows, outlines, terrain = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
         _show(exposures, rows, outlines, inputs if as_json else None)
     if not any(row["status"] == HIT for row in rows):
+        print_unseen("no footprint is complete", terrain, exposures.exposures[0].shot)
         raise typer.Exit(NO_ANSWER)
 
 
@@ -98,8 +100,8 @@ def _footprint(
     ground: GroundOptions,
     output: pathlib.Path | None,
     drawn: tuple[str, float, bool, bool],
-) -> tuple[GivenExposures, list[dict[str, Any]], list[Any]]:
-    """(exposures, table rows, footprints), written to `output` if given."""
+) -> tuple[GivenExposures, list[dict[str, Any]], list[Any], Any]:
+    """(exposures, table rows, footprints, terrain), written to `output` if given."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
     from jaxgeo.io.footprints import check_footprint_file
@@ -122,7 +124,7 @@ def _footprint(
     if output is not None:
         write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
         print_written(output)
-    return found, rows, outlines
+    return found, rows, outlines, terrain
 
 
 def _show(
