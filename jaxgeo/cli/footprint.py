@@ -25,7 +25,8 @@ from jaxgeo.cli._screen import number_table, print_counts, print_written, track
 from jaxgeo.cli._unseen_ground import print_unseen
 
 HIT = "hit"  # the status of a whole footprint
-ENDINGS = (".geojson", ".json", ".gpkg")
+STYLED = (".geojson", ".json", ".gpkg")
+ENDINGS = (*STYLED, ".kml", ".kmz")
 COLUMNS = {
     "shot": ("shot", "d"),
     "name": ("image", ""),
@@ -55,7 +56,7 @@ def footprint_command(
     how: ReadingOptions = ReadingOptions(),
     output: Annotated[
         pathlib.Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="File to write (.geojson, .json, .gpkg); default: none."),
+        typer.Option("--output", "-o", metavar="FILE", help=f"File to write ({', '.join(ENDINGS)}); default: none."),
     ] = None,
     crs: Annotated[
         str, typer.Option(metavar="CRS", help='CRS of the file: "EPSG:4326", "EPSG:32616", ...')
@@ -75,8 +76,8 @@ def footprint_command(
     with report_errors(debug):
         if output is not None:
             _check_output(output)
-        elif style:
-            raise UserError(f"--style needs --output FILE ({', '.join(ENDINGS)}).")
+        if style and (output is None or output.suffix.lower() not in STYLED):
+            raise UserError(f"--style needs --output FILE ({', '.join(STYLED)}).")
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         given.check(how)
