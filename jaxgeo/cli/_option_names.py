@@ -99,7 +99,6 @@ _DEM_WORDS = (
     *REACH,
     ("offline=True", "--offline"),
     ("bounds=(west, south, east, north)", "--dem-bounds WEST,SOUTH,EAST,NORTH"),
-    (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
     ("as vertical_datum", "with --dem-datum"),
     ("Leave vertical_datum out", "Leave --dem-datum out"),
 )

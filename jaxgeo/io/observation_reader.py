@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 import pathlib
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -42,6 +43,7 @@ from jaxgeo.uncertainty.sources import (
 
 Path = str | os.PathLike[str]
 CENTRE = ("centre_lat_deg", "centre_lon_deg", "centre_height_m")  # as the file reports it, height above the ellipsoid
+MOST_REASONS = 4  # told of files that cannot be read
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
 
 
@@ -140,7 +142,23 @@ def read_files(
     first, *others = sorted(found.unread, key=lambda one: is_refusal(one.error))  # internal errors first
     if not others or not is_refusal(first.error):
         raise first.error
-    raise TableError(f"none of {len(found.unread)} files can be read. First error: {first.reason}") from first.error
+    reasons = reasons_by_count(found.unread)
+    raise TableError(f"none of {len(found.unread)} files can be read. {reasons}") from first.error
+
+
+def reasons_by_count(unread: Sequence[Unread]) -> str:
+    """The reasons why files could not be read, most frequent first, each with its number and the first such file.
+
+    Reasons that differ by the file and by numbers only are one.
+    """
+    kinds: dict[str, list[str]] = {}
+    for one in unread:
+        kind = re.sub(r"\d+", "0", one.reason.replace(one.path, "").replace(one.name, ""))
+        kinds.setdefault(kind, []).append(one.reason)
+    several = sorted(kinds.values(), key=len, reverse=True)
+    told = [f"{f'{len(some)} of them: ' * (len(several) > 1)}{some[0].rstrip('.')}." for some in several]
+    more = [f"And {len(several) - MOST_REASONS} other reasons."] if len(several) > MOST_REASONS else []
+    return " ".join(told[:MOST_REASONS] + more)
 
 
 def is_scene_file(path: Path) -> bool:
