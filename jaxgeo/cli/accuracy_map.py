@@ -133,8 +133,8 @@ def accuracy_map_command(
         else:
             Console(soft_wrap=True).print(_summary(told, probability), highlight=False, markup=False)
         print_written(output)
-        cells = told["cells_by_status"]
-        print_counts(cells, sum(cells.values()), "cell", _of_seen(cells, told["cells_with_accuracy"], samples))
+        counts = told["cells_by_status"]
+        print_counts(counts, sum(counts.values()), "cell", _of_seen(counts, told["cells_with_accuracy"], samples))
         if not told["cells_with_accuracy"]:
             print_message("no cell has an accuracy.")
             raise typer.Exit(NO_ANSWER)
