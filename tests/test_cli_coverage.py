@@ -553,11 +553,13 @@ def test_readings_must_come_from_somewhere(tmp_path: pathlib.Path, flight) -> No
 
 @pytest.mark.slow
 def test_study_of_overlap(tmp_path: pathlib.Path, monkeypatch) -> None:
-    """Tables on the screen; with a folder, made where it is missing, files of them and pictures."""
+    """With a folder, made where it is missing, files of the tables and pictures, and the verdicts on the screen."""
     short = li2020.run(flights=False)
     monkeypatch.setattr("jaxgeo.studies.li2020.run", lambda **_: short)
     folder = tmp_path / "a" / "study"
     result = run("study", "li2020", "--output", folder)
     assert result.exit_code == 0, result.output
-    assert "Compensation of attitude" in result.stdout
+    assert "Verdicts" in result.stdout
+    assert "Compensation of attitude" not in result.stdout
+    assert "Compensation of attitude" in (folder / "tables.md").read_text()
     assert {"tables.md", "overlaps.csv", "footprints.png", "folding.png"} <= {path.name for path in folder.iterdir()}

@@ -248,6 +248,23 @@ def test_a_table_against_something_else_than_the_scene_is_refused(
     assert result.stderr.count("\n") == 1
 
 
+def test_an_elevation_model_is_no_image(tmp_path: pathlib.Path) -> None:
+    dem = pathlib.Path(scene_file()).with_name("jacksboro.tif")
+    result = run(dem, "--source-crs", "EPSG:32616")
+    assert result.exit_code == 2
+    assert "jacksboro.tif: this raster lies in a map, so it is not as a camera took it" in result.stderr
+    assert "an elevation model is given as one (--dem)." in result.stderr
+
+
+def test_positions_with_latitude_and_longitude_exchanged_say_so(tmp_path: pathlib.Path) -> None:
+    of_image(tmp_path / "photo.jpg")
+    (tmp_path / "geo.txt").write_text("EPSG:4326\nphoto.jpg 36.318 -104.105 900\n")
+    result = run(tmp_path / "photo.jpg", "--positions", tmp_path / "geo.txt", "--camera-datum", "ellipsoid")
+    assert result.exit_code == 2
+    assert "(36.318, -104.105) are no longitude and latitude in deg, but crs is 'WGS 84'." in result.stderr
+    assert "They would be with the two exchanged: give the longitude before the latitude." in result.stderr
+
+
 def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "photo.jpg"
     of_image(path)

@@ -22,7 +22,7 @@ READING = (
 )  # fmt: skip
 OBSERVED = ("scene", "shots", "exposures", "pixels")  # other options of `read_observations`
 # Reader options whose value is a flag on the command line.
-FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
+FLAGS = {"jaxgeo.io.read_dem": "--dem", "velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
 _VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a Python string, or a tuple
 _OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *OBSERVED, *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
