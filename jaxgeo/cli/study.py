@@ -26,7 +26,9 @@ WIDE = 150  # characters per line in a file
 PLACES = "places"  # folder of what workers have evaluated
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, defaults for the navigation of a real image
 
-studies = typer.Typer(cls=Commands, help="Reproduce published results.", no_args_is_help=True)
+studies = typer.Typer(
+    cls=Commands, help="Reproduce published results; each takes several minutes on two cores.", no_args_is_help=True
+)
 
 Folder = Annotated[
     pathlib.Path | None,
