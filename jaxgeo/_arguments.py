@@ -175,6 +175,6 @@ def heights_of_camera_and_ground(camera: Geodetic, terrain: AbstractTerrain) -> 
     if not np.isfinite(ground):
         return None
     return (
-        f"The camera is at {height:.1f} m, the ground at {ground:.1f} m above the ellipsoid, {ground - height:.1f} m "
+        f"The camera is at {height:z.1f} m, the ground at {ground:z.1f} m above the ellipsoid, {ground - height:.1f} m "
         "higher."
     )

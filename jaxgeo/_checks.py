@@ -78,6 +78,8 @@ def as_float64(tree: T, name: str | tuple[str, ...]) -> T:
     leaves, structure = jax.tree.flatten(tree)
     if all(isinstance(leaf, jax.Array) and leaf.dtype == np.float64 and not leaf.weak_type for leaf in leaves):
         return tree
+    for value, what in [(tree, name)] if isinstance(name, str) else zip(tree, name, strict=True):  # pyright: ignore[reportArgumentType]
+        check_no_text(value, what)
     leaves = [_leaf_as_float64(number, leaf, tree, name) for number, leaf in enumerate(leaves)]
     host = [number for number, leaf in enumerate(leaves) if isinstance(leaf, _Host)]
     for number, leaf in zip(host, jax.device_put([leaves[number].values for number in host]), strict=True):
@@ -111,6 +113,12 @@ def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str | tuple[str, .
     )
 
 
+def check_no_text(value: Any, name: str) -> None:
+    """Raise `TypeError` for a text in place of numbers."""
+    if isinstance(value, str | bytes):
+        raise TypeError(f"{name} must be numbers; got the text {value!r}. Convert it first, as by float(text).")
+
+
 def concrete(value: Any) -> np.ndarray | None:
     """`value` as a NumPy array if it is known now, None while it is traced."""
     if isinstance(value, jax.core.Tracer):
@@ -133,6 +141,7 @@ def by_numpy_if_known(function: Callable[..., Any], *values: Any) -> Any:
 
 def check_finite(value: Any, name: str, unit: str) -> None:
     """Raise `ValueError` if a concrete `value` holds NaN or an infinity."""
+    check_no_text(value, name)
     known = concrete(value)
     if known is not None and not np.all(np.isfinite(known)):
         raise ValueError(f"{name} must be finite, in {unit}; got {_shown(known)}.")
@@ -154,7 +163,11 @@ def _shown(value: np.ndarray) -> str:
 
 
 def as_array(value: Any, name: str) -> Any:
-    """Numbers, some perhaps traced, in a list or tuple, or in lists of lists, as one array; anything else as it is."""
+    """Numbers, some perhaps traced, in a list or tuple, or in lists of lists, as one array; anything else as it is.
+
+    Raises `TypeError` for a text.
+    """
+    check_no_text(value, name)
     if not isinstance(value, list | tuple):
         return value
     parts = [as_float64(as_array(part, f"{name}[{k}]"), f"{name}[{k}]") for k, part in enumerate(value)]

@@ -73,7 +73,7 @@ class Fix(Record):
             return f"no fix: {status.name}: {status.message}"
         lat, lon, height = (float(number) for number in self.position.to_degrees())
         return (
-            f"{lat:.7f}, {lon:.7f} deg, {height:.2f} m above the ellipsoid, {float(self.slant_range):.1f} m away: "
+            f"{lat:.7f}, {lon:.7f} deg, {height:z.2f} m above the ellipsoid, {float(self.slant_range):.1f} m away: "
             f"{status.name}"
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo._checks import as_float64, check_finite, check_range, require_x64
+from jaxgeo._checks import as_array, as_float64, check_finite, check_range, require_x64
 from jaxgeo.earth import WGS84, Geodetic
 
 
@@ -80,6 +80,12 @@ def test_finite_and_range_checks_name_value_and_unit():
         check_range(91.0, "lat", "deg", -90.0, 90.0)
     with pytest.raises(ValueError, match="lat must be finite"):
         check_range(np.nan, "lat", "deg", -90.0, 90.0)
+
+
+@pytest.mark.parametrize("check", [as_array, as_float64, lambda value, name: check_finite(value, name, "deg")])
+def test_texts_are_refused_by_name(check) -> None:
+    with pytest.raises(TypeError, match=r"^uv must be numbers; got the text '1200,2400'\. Convert it first"):
+        check("1200,2400", "uv")
 
 
 def test_a_large_array_is_not_printed_whole():

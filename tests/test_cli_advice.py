@@ -43,6 +43,13 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str], str, list[str]
         LENSES,
     ),
     "a lens without a unit": (DJI, {}, [*DATUMS, "--camera focal=8.8"], "focal=8.8 is not a number above zero", LENSES),
+    "a pixel size in mm": (
+        DJI,
+        {},
+        [*DATUMS, "--camera focal=8.8mm,pitch=2.41mm"],
+        "pitch=2.41mm is not a number above zero in um (pitch=2.41um?)",
+        LENSES,
+    ),
     "a camera that is not known": (DJI, {}, [*DATUMS, "--camera FC9998"], "is not in the table of cameras", LENSES),
     "another size than the table's": (DJI, {}, [*DATUMS, "--camera ZH20T"], "has images of 4056 x 3040", LENSES),
     "angles all zero": (

@@ -17,6 +17,7 @@ from support.command_runner import CliRunner
 
 from jaxgeo import Geodetic, coverage
 from jaxgeo.cli import app
+from jaxgeo.cli._inputs import shots_of
 from jaxgeo.demo import scene_file
 from jaxgeo.io import example_dem, read_navigation
 from jaxgeo.io.scene import read_scene
@@ -378,6 +379,71 @@ def test_plan_by_the_ground(tmp_path: pathlib.Path, flight) -> None:
     assert f"{len(exposures(output))} footprints" in again.stderr
 
 
+def test_a_table_of_shots_may_state_what_its_heights_are_above(tmp_path: pathlib.Path) -> None:
+    """Its own column is read before the scene; without it, the scene's datum, EGM96, holds."""
+    scene, path = read_scene(scene_file()), tmp_path / "shots.csv"
+    lines = f"{POSE}{READINGS}", SHOTS["whole"]
+    found = []
+    for column in (("", ""), (",height_datum", ",EPSG:5773"), (",height_datum", ",ellipsoid")):
+        path.write_text("\n".join(f"{line}{more}" for line, more in zip(lines, column, strict=True)) + "\n")
+        shots, _ = shots_of(scene, scene_file(), path, None)
+        found.append(float(shots.pose.position.height[0]))
+    assert found == pytest.approx([5468.745, 5468.745, 5500.0], abs=0.01)  # m
+
+
+BESIDE = "beside it (with latitude and longitude exchanged it would be on it)."
+SEES_NONE = "the image sees no ground: the elevation model reaches from"
+
+
+@pytest.mark.parametrize(
+    "command, words",
+    [
+        pytest.param("plan --timing fixed:4 -o out.csv", SEES_NONE, marks=pytest.mark.costly),
+        pytest.param("overlap --times 101,103", f"101 s and 103 s: {SEES_NONE}", marks=pytest.mark.slow),
+        pytest.param(
+            "overlap --times 101,103 --along rows",
+            "no pair has an overlap: the elevation model reaches from",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("footprint", "no footprint is complete: the elevation model reaches from", marks=pytest.mark.slow),
+        pytest.param(
+            "accuracy-map --resolution 90 -o map.tif",
+            "no line of sight of the image comes down on the terrain: the elevation model reaches from",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_camera_beside_the_elevation_model_is_the_reason(
+    tmp_path: pathlib.Path, flight, monkeypatch, command: str, words: str
+) -> None:
+    """Latitude and longitude exchanged: in the words of `jaxgeo locate`, whatever the command needed of the ground."""
+    text = scene_file().read_text().replace("lat_deg = 36.318", "lat_deg = -84.105")
+    (tmp_path / "scene.toml").write_text(text.replace("lon_deg = -84.105", "lon_deg = 36.318"))
+    header, *rows = flight().read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    lines = [header, *(",".join([t, lon, lat, *more]) for t, lat, lon, *more in cells)]
+    (tmp_path / "flight.csv").write_text("\n".join(lines) + "\n")
+    monkeypatch.chdir(tmp_path)
+    flown = ["--navigation", "flight.csv"] if command.startswith(("plan", "overlap")) else []
+    result = run(*command.split(), "--scene", "scene.toml", "--dem", DEM, *flown)
+    assert result.exit_code in (1, 2), result.output
+    assert words in result.stderr
+    assert result.stderr.endswith(f"{BESIDE}\n")
+
+
+@pytest.mark.slow
+def test_a_plan_is_a_table_of_shots_of_its_scene(tmp_path: pathlib.Path, flight) -> None:
+    """Its heights are above the ellipsoid, as its column says, and those of the scene above EGM96."""
+    output, ground = tmp_path / "exposures.csv", ("--scene", scene_file(), "--ground", "300")
+    planned = run("plan", *ground, "--navigation", flight(), "--timing", "fixed:4", "--along", "rows", "-o", output)
+    assert planned.exit_code == 0, planned.output
+    shares = [float(row["overlap_near"]) for row in exposures(output)[1:]]
+    again = run("overlap", *ground, "--shots", output, "--along", "rows", "--json")
+    assert [one["near"] for one in json.loads(again.stdout)["pairs"]] == pytest.approx(shares, abs=1e-5)
+    told = run("footprint", *ground, "--shots", output, "--json", "--tolerance", "100")
+    assert {one["status"] for one in json.loads(told.stdout)["footprints"]} == {"hit"}
+
+
 TARGET = ["point", "--scene", scene_file()]
 OVERLAP = ["overlap", "--scene", scene_file(), "--dem", DEM]
 PLAN = ["plan", "--scene", scene_file(), "--dem", DEM, "--navigation", "FLIGHT", "--output", "plan.csv"]
@@ -502,11 +568,13 @@ def test_readings_must_come_from_somewhere(tmp_path: pathlib.Path, flight) -> No
 
 @pytest.mark.slow
 def test_study_of_overlap(tmp_path: pathlib.Path, monkeypatch) -> None:
-    """Tables on the screen; with a folder, made where it is missing, files of them and pictures."""
+    """With a folder, made where it is missing, files of the tables and pictures, and the verdicts on the screen."""
     short = li2020.run(flights=False)
     monkeypatch.setattr("jaxgeo.studies.li2020.run", lambda **_: short)
     folder = tmp_path / "a" / "study"
     result = run("study", "li2020", "--output", folder)
     assert result.exit_code == 0, result.output
-    assert "Compensation of attitude" in result.stdout
+    assert "Verdicts" in result.stdout
+    assert "Compensation of attitude" not in result.stdout
+    assert "Compensation of attitude" in (folder / "tables.md").read_text()
     assert {"tables.md", "overlaps.csv", "footprints.png", "folding.png"} <= {path.name for path in folder.iterdir()}

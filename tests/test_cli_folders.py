@@ -283,7 +283,7 @@ def test_where_no_file_can_be_read_nothing_is_written(tmp_path: pathlib.Path) ->
     cut(image(folder, "b.jpg"))
     two = run("locate", folder, *GROUND, "-o", output)
     assert (two.exit_code, output.exists()) == (2, False)
-    assert "none of 2 files can be read. First error: " in two.stderr
+    assert f"none of 2 files can be read. {folder / 'a.jpg'}: the file is damaged" in two.stderr
 
 
 def test_what_concerns_all_files_is_refused_at_once(flight: pathlib.Path, tmp_path: pathlib.Path) -> None:

@@ -219,13 +219,20 @@ def test_exposures_become_a_table_of_shots(tmp_path: pathlib.Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "column, stated, words",
+    "command, column, stated, words",
     [
-        ("gimbal_reference", "level", "gimbal angles are relative to 'level'"),
-        ("height_datum", "ellipsoid", "heights"),
+        ("locate", "gimbal_reference", "level", "its gimbal angles are relative to 'level' (column gimbal_reference)"),
+        ("footprint", "gimbal_reference", "level", "its gimbal angles are relative to 'level'"),
+        ("footprint", "height_datum", "msl", "its column height_datum states 'msl', not ellipsoid, EPSG:CODE"),
+        (
+            "footprint --camera-datum EPSG:3855",
+            "height_datum",
+            "ellipsoid",
+            "its column height_datum says that heights are above 'ellipsoid', but --camera-datum 'EPSG:3855'; leave "
+            "--camera-datum out.",
+        ),
     ],
 )
-@pytest.mark.parametrize("command", ["locate", "footprint"])
 def test_a_table_against_something_else_than_the_scene_is_refused(
     tmp_path: pathlib.Path, command: str, column: str, stated: str, words: str
 ) -> None:
@@ -234,12 +241,28 @@ def test_a_table_against_something_else_than_the_scene_is_refused(
     table = tmp_path / "shots.csv"
     table.write_text(f"{header},{column}\n36.318,-84.105,5500,160,1,-0.5,72,0,1199.5,2399.5,{stated}\n")
     dem = pathlib.Path(scene_file()).with_name("jacksboro.tif")
-    line = [command, "--scene", scene_file(), "--dem", dem, "--shots", table]
+    line = [*command.split(), "--scene", scene_file(), "--dem", dem, "--shots", table]
     result = CliRunner().invoke(app, [str(one) for one in line])
     assert result.exit_code == 2
     assert words in result.stderr
-    assert f"(column {column})" in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_an_elevation_model_is_no_image(tmp_path: pathlib.Path) -> None:
+    dem = pathlib.Path(scene_file()).with_name("jacksboro.tif")
+    result = run(dem, "--source-crs", "EPSG:32616")
+    assert result.exit_code == 2
+    assert "jacksboro.tif: this raster lies in a map, so it is not as a camera took it" in result.stderr
+    assert "an elevation model is given as one (--dem)." in result.stderr
+
+
+def test_positions_with_latitude_and_longitude_exchanged_say_so(tmp_path: pathlib.Path) -> None:
+    of_image(tmp_path / "photo.jpg")
+    (tmp_path / "geo.txt").write_text("EPSG:4326\nphoto.jpg 36.318 -104.105 900\n")
+    result = run(tmp_path / "photo.jpg", "--positions", tmp_path / "geo.txt", "--camera-datum", "ellipsoid")
+    assert result.exit_code == 2
+    assert "(36.318, -104.105) are no longitude and latitude in deg, but crs is 'WGS 84'." in result.stderr
+    assert "They would be with the two exchanged: give the longitude before the latitude." in result.stderr
 
 
 def test_tags_are_kept(tmp_path: pathlib.Path) -> None:

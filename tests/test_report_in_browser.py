@@ -103,6 +103,17 @@ def test_a_dark_screen_gets_a_dark_page_and_light_comes_back(browser, page_file:
             assert (labels.max() > 150) if is_dark else (labels.min() < 100)
 
 
+def test_on_a_phone_zoom_buttons_are_on_one_line_and_a_cut_table_says_so(browser, page_file: pathlib.Path) -> None:
+    with opened(browser, page_file, SIZES["phone"]) as page:
+        closer, farther = (page.locator(f"[aria-label={name}]").bounding_box() for name in ("closer", "farther"))
+        assert abs(closer["y"] - farther["y"]) < 1.0
+        assert page.locator("#table .narrow").is_visible()
+    with opened(browser, page_file, SIZES["desk"]) as page:
+        assert not page.locator("#table .narrow").is_visible()
+        swatches = page.locator("#where .swatch.dots").count()
+        assert swatches >= 1, "samples are small dots, the fix a large one"
+
+
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_the_image_is_beside_the_map_with_its_pixel(browser, subject: ReportData, tmp_path, size) -> None:
     """On a desk to the right of it, on a phone below; the mark lies on its pixel, light and dark; nothing overflows."""

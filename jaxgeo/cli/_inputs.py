@@ -12,7 +12,7 @@ from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._archive_dem import Look, fetch, is_archive
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._option_names import gap_as_typed, translate_dem_errors
+from jaxgeo.cli._option_names import gap_as_typed, translate_dem_errors, translate_reader_errors
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import print_note, working
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Shot, Trajectory
@@ -155,14 +155,15 @@ def shots_of(
 ) -> tuple[Shot, list[dict[str, Any]]]:
     """(batch of shots, rows as text) of a table without pixels."""
     from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
-    from jaxgeo.io.observation_reader import check_stated, height_datum_of
+    from jaxgeo.io.observation_reader import check_reference, datum_of_shots
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
-    stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
     names = scene.sensor.gimbal.names
     found = read_shots(table, names, pixels=False)
-    check_stated(found, table, scene.sensor.gimbal, stated)
+    with translate_reader_errors():
+        stated = datum_of_shots(found, table, scene, path, None if given is None else as_datum(given))
+    check_reference(found, table, scene.sensor.gimbal)
     try:
         return found.shots(names, stated), found.rows
     except (OutsideDatum, VerticalDatumError) as error:

@@ -195,10 +195,6 @@ def below_terrain(inputs: LocateInputs, fixes: Fix) -> str | None:
 
 def camera_outside_dem(inputs: LocateInputs) -> str | None:
     """Possible reason why no pixel has a fix: the DEM does not cover the first camera; None otherwise."""
-    from jaxgeo.io.extent import place_beside
+    from jaxgeo.io.extent import camera_beside
 
-    terrain, position = inputs.grounds[0], inputs.observed.batches[0].shots.pose.position
-    if not isinstance(terrain, Dem):
-        return None
-    lat, lon = (float(np.rad2deg(np.asarray(angle)[0])) for angle in (position.lat, position.lon))
-    return place_beside(terrain, lat, lon)
+    return camera_beside(inputs.grounds[0], inputs.observed.batches[0].shots.pose.position)

@@ -22,7 +22,12 @@ READING = (
 )  # fmt: skip
 OBSERVED = ("scene", "shots", "exposures", "pixels")  # other options of `read_observations`
 # Reader options whose value is a flag on the command line.
-FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged", "upright=True": "--upright"}
+FLAGS = {
+    "jaxgeo.io.read_dem": "--dem",
+    "velocities=False": "--no-velocities",
+    "keep_damaged=True": "--keep-damaged",
+    "upright=True": "--upright",
+}
 _VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a Python string, or a tuple
 _OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *OBSERVED, *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
@@ -99,7 +104,6 @@ _DEM_WORDS = (
     *REACH,
     ("offline=True", "--offline"),
     ("bounds=(west, south, east, north)", "--dem-bounds WEST,SOUTH,EAST,NORTH"),
-    (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
     ("as vertical_datum", "with --dem-datum"),
     ("Leave vertical_datum out", "Leave --dem-datum out"),
 )

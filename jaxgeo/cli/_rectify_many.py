@@ -73,7 +73,7 @@ def rectify_several(
         beside = [name for name in (f"{MOSAIC}.vrt", COLLECTION) if (folder / name).exists()]
         Console(soft_wrap=True).print(
             f"{folder}: {written} orthophoto{'s' if written != 1 else ''} of {total} image{'s' if total != 1 else ''}"
-            f" (frame-*.tif), {', '.join(beside)}; {seconds:.1f} s",
+            f" (.tif, by the names of the images), {', '.join(beside)}; {seconds:.1f} s",
             highlight=False,
             markup=False,
         )

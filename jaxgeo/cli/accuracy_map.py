@@ -27,7 +27,6 @@ from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts, print_message, print_written
 from jaxgeo.status import Status
 
-SEEN_CELL = "The image shows it; its accuracy is unknown where samples are needed and none are drawn."
 SAMPLES = 2000  # of a cell
 
 
@@ -135,10 +134,20 @@ def accuracy_map_command(
         else:
             Console(soft_wrap=True).print(_summary(told, probability), highlight=False, markup=False)
         print_written(output)
-        print_counts(told["cells_by_status"], sum(told["cells_by_status"].values()), "cell", SEEN_CELL)
+        counts = told["cells_by_status"]
+        print_counts(counts, sum(counts.values()), "cell", _of_seen(counts, told["cells_with_accuracy"], samples))
         if not told["cells_with_accuracy"]:
             print_message("no cell has an accuracy.")
             raise typer.Exit(NO_ANSWER)
+
+
+def _of_seen(cells: dict[str, int], known: int, samples: int) -> str:
+    """What the status `hit` of a cell means, and of how many of these cells the accuracy is unknown."""
+    unknown = cells.get(Status.hit.name, 0) - known
+    if unknown <= 0:
+        return "The image shows it, and its accuracy is known."
+    why = ", which need samples (--samples 0 draws none)" if samples == 0 else ""
+    return f"The image shows it; the accuracy of {unknown} of them is unknown{why}."
 
 
 def _summary(told: dict[str, Any], probability: float) -> str:

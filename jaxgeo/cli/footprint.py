@@ -23,9 +23,11 @@ from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, print_written, track
+from jaxgeo.cli._unseen_ground import print_unseen
 
 HIT = "hit"  # the status of a whole footprint
-ENDINGS = (".geojson", ".json", ".gpkg")
+STYLED = (".geojson", ".json", ".gpkg")
+ENDINGS = (*STYLED, ".kml", ".kmz")
 COLUMNS = {
     "shot": ("shot", "d"),
     "name": ("image", ""),
@@ -55,7 +57,7 @@ def footprint_command(
     how: ReadingOptions = ReadingOptions(),
     output: Annotated[
         pathlib.Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="File to write (.geojson, .json, .gpkg); default: none."),
+        typer.Option("--output", "-o", metavar="FILE", help=f"File to write ({', '.join(ENDINGS)}); default: none."),
     ] = None,
     crs: Annotated[
         str, typer.Option(metavar="CRS", help='CRS of the file: "EPSG:4326", "EPSG:32616", ...')
@@ -75,16 +77,17 @@ def footprint_command(
     with report_errors(debug):
         if output is not None:
             _check_output(output)
-        elif style:
-            raise UserError(f"--style needs --output FILE ({', '.join(ENDINGS)}).")
+        if style and (output is None or output.suffix.lower() not in STYLED):
+            raise UserError(f"--style needs --output FILE ({', '.join(STYLED)}).")
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         given.check(how)
         check_ground(ground)
         check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
-        exposures, rows, outlines = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
+        exposures, rows, outlines, terrain = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
         _show(exposures, rows, outlines, inputs if as_json else None)
     if not any(row["status"] == HIT for row in rows):
+        print_unseen("no footprint is complete", terrain, exposures.exposures[0].shot)
         raise typer.Exit(NO_ANSWER)
 
 
@@ -99,8 +102,8 @@ def _footprint(
     ground: GroundOptions,
     output: pathlib.Path | None,
     drawn: tuple[str, float, bool, bool],
-) -> tuple[GivenExposures, list[dict[str, Any]], list[Any]]:
-    """(exposures, table rows, footprints), written to `output` if given."""
+) -> tuple[GivenExposures, list[dict[str, Any]], list[Any], Any]:
+    """(exposures, table rows, footprints, terrain), written to `output` if given."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
     from jaxgeo.io.footprints import check_footprint_file
@@ -124,7 +127,7 @@ def _footprint(
     if output is not None:
         write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
         print_written(output)
-    return found, rows, outlines
+    return found, rows, outlines, terrain
 
 
 def _show(

@@ -26,6 +26,7 @@ from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, print_note, print_written, track
+from jaxgeo.cli._unseen_ground import print_unseen, translate_unseen
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
 COLUMNS = {
@@ -108,6 +109,7 @@ def overlap_command(
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
             print_json("overlap", {"inputs": inputs, "pairs": pairs, "partial": partial, "unread": images.unread})
     if not any(row["status"] in ANSWERS for row in rows):
+        print_unseen("no pair has an overlap", terrain, images.exposures[0].shot)
         raise typer.Exit(NO_ANSWER)
 
 
@@ -179,7 +181,7 @@ def _overlaps(images: Sequence[GivenExposure], terrain: Any, along: Any) -> list
     for before, after in track(list(itertools.pairwise(images)), "computing overlaps"):
         own = after.sensor if sensors_differ(before.sensor, after.sensor) else None
         how = {"along": along, "atmosphere": before.atmosphere, "sensor_after": own}
-        with _as_options(before, after):
+        with _as_options(before, after), translate_unseen(terrain, before.shot, f"{before.name} and {after.name}: "):
             found: Any = overlap(before.sensor, before.shot, after.shot, terrain, **how)
         numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
         row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
@@ -193,15 +195,10 @@ def _as_options(before: GivenExposure, after: GivenExposure) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        pair = f"{before.name} and {after.name}"
         if "gives no direction of flight" in f"{error}":
+            pair = f"{before.name} and {after.name}"
             message = f"{pair} are taken from one place, which gives no direction of flight: leave one of them out."
             raise UserError(message) from error
-        if 'along="columns"' in f"{error}":
-            raise UserError(
-                f"{pair}: which axis of the image lies along the flight is not known; give --along columns or --along "
-                f"rows."
-            ) from error
         raise
 
 

@@ -22,6 +22,7 @@ from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, print_counts, print_written, progress_bar, stderr
+from jaxgeo.cli._unseen_ground import print_unseen, translate_unseen
 from jaxgeo.cli.overlap import BOTH
 
 ALONG = 100  # times along a flight for whose images the ground is fetched
@@ -120,9 +121,11 @@ def _plan(
 ) -> list[dict[str, Any]]:
     """Compute and write the exposures; returns their rows."""
     import jax
+    import jax.numpy as jnp
+    import numpy as np
 
     from jaxgeo._checks import enable_x64
-    from jaxgeo.coverage import plan
+    from jaxgeo.coverage import MovingExposure, plan
     from jaxgeo.io import write_exposures
 
     compile_quickly()
@@ -141,12 +144,16 @@ def _plan(
         def advance(done: float, total: float) -> None:
             bar.update(task, completed=round(done), total=round(total), description="planning, s of the flight")
 
-        found = plan(sensor, flight, terrain, _timing(*wishes), progress=advance, **how_timed)
+        begin = MovingExposure(flight, flight.start if start is None else jnp.asarray(start))
+        with translate_unseen(terrain, begin):
+            found = plan(sensor, flight, terrain, _timing(*wishes), progress=advance, **how_timed)
         bar.update(task, description="computing overlaps")
         shots = jax.vmap(flight.at)(found.times)
     write_exposures(output, shots, sensor.gimbal.names, overlaps=found.overlaps)
     print_written(output)
     _summarise(found)
+    if not np.asarray(found.overlaps.ok).any():
+        print_unseen("no pair has an overlap", terrain, begin)
     return _exposures(shots, sensor.gimbal.names, found.overlaps)
 
 

@@ -256,7 +256,7 @@ def _target(stated: Any, place: list[float], terrain: Any) -> Any:
         height = ground
         if not math.isfinite(height):
             raise UserError(f"--target {lat:g},{lon:g}: the DEM has no height there; give a height, or another DEM.")
-    said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid{above}"
+    said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:z.2f} m above the ellipsoid{above}"
     if not is_quiet():
         stderr().print(said, highlight=False, soft_wrap=True)
     return Geodetic.from_degrees(lat=lat, lon=lon, height=height)

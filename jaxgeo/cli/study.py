@@ -26,12 +26,18 @@ WIDE = 150  # characters per line in a file
 PLACES = "places"  # folder of what workers have evaluated
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, defaults for the navigation of a real image
 
-studies = typer.Typer(cls=Commands, help="Reproduce published results.", no_args_is_help=True)
+studies = typer.Typer(
+    cls=Commands, help="Reproduce published results; each takes several minutes on two cores.", no_args_is_help=True
+)
 
 Folder = Annotated[
     pathlib.Path | None,
     typer.Option(
-        "--output", "-o", metavar="FOLDER", help="Folder for tables (CSV, Markdown) and figures; default: none."
+        "--output",
+        "-o",
+        metavar="FOLDER",
+        help="Folder for tables (CSV, Markdown) and figures; then only the verdicts are printed. Default: all tables "
+        "are printed.",
     ),
 ]
 
@@ -285,13 +291,14 @@ def _begin(folder: pathlib.Path | None) -> None:
 
 
 def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
-    """Print the tables, or JSON with `inputs`; write tables and figures to a folder."""
+    """Print the tables, or JSON with `inputs`; with a folder, write tables and figures to it and print the verdicts
+    only."""
     console = _console()
     with working("compiling and computing"):
         report = run()
     sheets = study.sheets_of(report)
     if inputs is None:
-        for sheet in sheets:
+        for sheet in sheets if folder is None else sheets[-1:]:  # the last is that of the verdicts
             console.print(sheet.to_rich(console.width))
     else:
         name = study.__name__.rpartition(".")[2]

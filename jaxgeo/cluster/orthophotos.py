@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import os
 import pathlib
+import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
@@ -45,6 +47,9 @@ from jaxgeo.terrain import AbstractTerrain
 
 KIND = "orthophotos"
 BILINEAR = Bilinear()
+USED = re.compile(
+    r"^(mosaic|collection|items|[._].*|)(-\d+)?$|_status$|-\d{5,}$", re.IGNORECASE
+)  # by the folder itself
 IMAGE, STAMP, REASON = "jaxgeo:image", "jaxgeo:image_stamp", "jaxgeo:reason"
 
 Path = str | os.PathLike[str]
@@ -98,10 +103,12 @@ def rectify_frames(
     - `bands`, `interpolation`, `mask_hidden`, `cog`, `status`: as for `rectify_file`.
     - `times`: of each frame, with a time zone, for the catalogue.
 
-    Frame n has `frame-0000n.tif` and the STAC item `frame-0000n.json`. A frame without an orthophoto, because its image
-    cannot be read or shows no ground, has an item with the reason in `jaxgeo:reason` and no file. `collection.json` and
-    `items.json` (a feature collection) list all items. `mosaic.vrt` shows all frames, later ones over earlier;
-    frames with other bands than the first are in `mosaic-2.vrt` and so on. A Dask client needs the extra `cluster`.
+    The frame of `DJI_0042.JPG` has `DJI_0042.tif` and the STAC item `DJI_0042.json` (`part_names`: what several images
+    or the folder itself would be called is followed by the number of the row). A frame without an orthophoto, because
+    its image cannot be read or shows no ground, has an item with the reason in `jaxgeo:reason` and no file.
+    `collection.json` and `items.json` (a feature collection) list all items. `mosaic.vrt` shows all frames, later ones
+    over earlier; frames with other bands than the first are in `mosaic-2.vrt` and so on. A Dask client needs the extra
+    `cluster`.
 
     Workers write into `folder`, which all must see, as the images. A later call with the same arguments computes only
     frames that are missing, or whose image has changed or appeared. `Run.counts` counts frames: `hit` with an
@@ -122,12 +129,26 @@ def rectify_frames(
     cells = _cells_of(where, observed, files, ground, crs, resolution)
     options = {"bands": bands, "interpolation": interpolation, "mask_hidden": mask_hidden, "cog": cog, "status": status}
     setting = Setting(where, observed, files, each, ground, cells, options)
-    names = named("frame-", len(observed), ".json")
+    called = [file or row.get("name") or "frame" for file, row in zip(files, observed.columns, strict=True)]
+    names = part_names(called)
     parts = Parts(where, KIND, _identity(setting), names)
     missing = {*parts.open(), *_outdated(setting, names)}
     given = {name: row for row, name in enumerate(names) if name in missing}
     finish = functools.partial(_finish, where, cells.crs)
     return compute_and_list(parts, given, Work(_frames, setting), client, progress, finish)
+
+
+def part_names(images: Sequence[Any]) -> tuple[str, ...]:
+    """Names of the items of images, by their names: ASCII letters, digits, points and hyphens, and all different.
+
+    Names that differ by capitals only, or that the mosaic, the catalogue or a status file may have, are followed by
+    the number of the row.
+    """
+    stems = [re.sub(r"[^\w.-]", "_", pathlib.PurePath(str(one)).stem, flags=re.ASCII) for one in images]
+    count = Counter(stem.lower() for stem in stems)
+    plain = [count[stem.lower()] == 1 and USED.search(stem) is None for stem in stems]
+    numbered = named("-", len(stems), "")
+    return tuple(f"{stem}{'' if ok else end}.json" for stem, ok, end in zip(stems, plain, numbered, strict=True))
 
 
 def images_of(images: Path | Sequence[Path], observed: Observations) -> tuple[str | None, ...]:

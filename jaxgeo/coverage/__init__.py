@@ -1,6 +1,7 @@
 """Image coverage planning: footprints, overlap, pointing and exposure timing."""
 
 from jaxgeo._renamed import renamed
+from jaxgeo.coverage._checks import SeesNoGround
 from jaxgeo.coverage._covered import CoveredPart, covered_part
 from jaxgeo.coverage._footprint import Footprint, GroundSampleDistance, footprint, ground_sample_distance
 from jaxgeo.coverage._overlap import Overlap, flight_direction, overlap
@@ -32,6 +33,7 @@ __all__ = [
     "Overlap",
     "Plan",
     "Pointing",
+    "SeesNoGround",
     "Strip",
     "VelocityHeight",
     "VisibleGround",

@@ -10,6 +10,10 @@ from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._typing import Numbers
 
 
+class SeesNoGround(ValueError):
+    """An image, or the part of it that a result needs, sees no ground."""
+
+
 def checked_off_nadir(off_nadir: Any) -> Numbers:
     """An angle off nadir in rad; raises `ValueError` unless a known one is in [0, pi/2)."""
     return _checked(

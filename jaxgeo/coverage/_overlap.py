@@ -17,6 +17,7 @@ from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import dot, larger, safe_norm, smaller
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field
+from jaxgeo.coverage._checks import SeesNoGround
 from jaxgeo.coverage.exposure import (
     Along,
     Image,
@@ -161,7 +162,7 @@ def axis_along(
 ) -> Along:
     """The image axis along a direction on the map: the one whose middle line is most parallel to it.
 
-    Raises `ValueError` if the values are traced, or the middle of the image sees no ground.
+    Raises `ValueError` if the values are traced, and `SeesNoGround` if the middle of the image sees none.
     """
     width, height = image_size(sensor)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
@@ -172,9 +173,15 @@ def axis_along(
     across = jnp.stack([-direction[1], direction[0]])
     change = points[:2] - points[2:]
     lean = concrete(jnp.abs(change @ direction) / jnp.maximum(jnp.abs(change @ across), 1e-12))
-    if lean is None or not np.all(np.isfinite(lean)):
+    if lean is None:
         raise ValueError(
-            'which axis of the image lies along the flight is not known here: say along="columns" or along="rows".'
+            "which axis of the image lies along the flight follows from values, which jit and vmap do not have: say "
+            'along="columns" or along="rows".'
+        )
+    if not np.all(np.isfinite(lean)):
+        raise SeesNoGround(
+            "the middle of the image sees no ground, from which the axis of the image along the flight would follow: "
+            'say along="columns" or along="rows", or load a larger terrain.'
         )
     return "columns" if lean[0] > lean[1] else "rows"
 

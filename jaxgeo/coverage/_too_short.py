@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Scalar, Vector3
+from jaxgeo.coverage._checks import SeesNoGround
 from jaxgeo.coverage.exposure import Along, image_size
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.sensor import Sensor, Trajectory
@@ -58,9 +59,9 @@ def refuse_too_short(course: Course, along: Along | None, start: float, goal: fl
         raise too_few(last, start)
 
 
-def no_ground(time: float) -> ValueError:
-    """Error for an image whose near end is above the horizon."""
-    return ValueError(f"the near end of the image sees no ground at {time:.9g} s: no image can be timed by it.")
+def no_ground(time: float) -> SeesNoGround:
+    """Error for an image whose near end sees no ground."""
+    return SeesNoGround(f"the near end of the image sees no ground at {time:.9g} s: no image can be timed by it.")
 
 
 def _refuse_unseen(corners: np.ndarray, along: Along, times: np.ndarray) -> None:

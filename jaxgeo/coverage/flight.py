@@ -18,7 +18,7 @@ from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._numerics import cross, matvec, safe_norm
 from jaxgeo._record import Record, has_numbers, range_text
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
-from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
+from jaxgeo.coverage._checks import SeesNoGround, checked_finite, checked_overlap, checked_positive
 from jaxgeo.coverage._overlap import (
     GroundEdges,
     Overlap,
@@ -192,7 +192,7 @@ class Strip(Record):
         length, height = _near_length(sensor, shot, over, along, ahead, air)
         if not np.isfinite(length):
             status = Status(int(near_edge(sensor, shot, over, along, air).status))
-            raise ValueError(
+            raise SeesNoGround(
                 f"the near end of the first image sees no ground: {status.message if status else 'at its corners.'} "
                 "Turn the camera down, or load a larger terrain."
             )

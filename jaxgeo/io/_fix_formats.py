@@ -20,8 +20,9 @@ from jaxgeo.io._fix_columns import FIX_DECIMALS
 from jaxgeo.io._geopackage import Layer, geopackage
 from jaxgeo.io._geoparquet import GeometryColumn, geoparquet
 from jaxgeo.io._gpx import TrackPoint, as_bytes, gpx
-from jaxgeo.io._kml import Placemark, kml, kmz
+from jaxgeo.io._kml import RADIUS, Placemark, kml, kmz
 from jaxgeo.io._map_crs import MapCRS
+from jaxgeo.io._outlines import line as line_through
 from jaxgeo.status import Status
 
 PLACE = ("map_x", "map_y", "map_z")  # of a table
@@ -176,9 +177,33 @@ def _kml(table: FixTable) -> bytes:
     about += f" Outlines hold the truth with a probability of {share:g}." if areas else ""
     try:
         folders = {"Fixes": points} | ({"Ellipses": areas} if areas else {})
-        return kml("Fixes", about, folders | ({"Detections": shapes} if shapes else {}))
+        folders |= {"Detections": shapes} if shapes else {}
+        return kml("Fixes", about, folders | _path(table))
     except ValueError as error:
         raise ValueError(f"{table.name}: {error}") from error
+
+
+def _path(table: FixTable) -> dict[str, list[Placemark]]:
+    """A folder with the line through fixes that have a time of its own each, in order of time; none for others."""
+    known = np.isfinite(table.places).all(axis=1)
+    timed = [(when(row), *place) for row, place in zip(table.rows, table.places.tolist(), strict=True)]
+    timed = [one for one, is_known in zip(timed, known, strict=True) if is_known]
+    times = {time for time, *_ in timed}
+    if len(times) < max(len(timed), 2) or None in times:
+        return {}
+    through = line_through(np.array([place for _, *place in sorted(timed)]), 360.0)
+    return {"Path": [Placemark("Path of the fixes", "outline", {"fixes": len(timed)}, through)]}
+
+
+def _radii(row: Mapping[str, Any]) -> str | None:
+    """The radii of accuracy of a row in words: "CE90 7.90 m, LE90 3.29 m"; None if there are none."""
+    found = [(RADIUS.fullmatch(name), value) for name, value in row.items()]
+    texts = [
+        f"{name[1].upper()}{name[2].replace('_', '.')} {value:.2f} m"
+        for name, value in found
+        if name is not None and isinstance(value, float) and math.isfinite(value)
+    ]
+    return ", ".join(texts) or None
 
 
 def _kmz(table: FixTable) -> bytes:
@@ -188,7 +213,7 @@ def _kmz(table: FixTable) -> bytes:
 def _gpx(table: FixTable) -> bytes:
     """One track of the fixes with coordinates, in their order, with times where they are in UTC."""
     points = [
-        TrackPoint(title, *place.tolist(), time=when(row))
+        TrackPoint(title, *place.tolist(), time=when(row), about=_radii(row))
         for title, row, place in zip(_titles(table.rows), table.rows, table.places, strict=True)
         if np.isfinite(place).all()
     ]

@@ -1,4 +1,4 @@
-"""KML 2.2 and KMZ writer: points and areas with attribute tables."""
+"""KML 2.2 and KMZ writer: points, lines and areas with attribute tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
-COLOURS = {"fix": "ff00c8ff", "uncertain": "ff0080ff", "lost": "ff8080ff", "area": "4d00c8ff"}  # aabbggrr
+COLOURS = {
+    "fix": "ff00c8ff",
+    "uncertain": "ff0080ff",
+    "lost": "ff8080ff",
+    "area": "4d00c8ff",
+    "outline": "ff00c8ff",
+}  # aabbggrr
+LINES = ("area", "outline")  # styles of areas and lines; an outline has no fill
 BALLOON = {
     "time_utc": ("time", ""),
     "u": ("column", "g"),
@@ -35,10 +42,10 @@ NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Placemark(NamedTuple):
-    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude, height), an area, or None; `when`,
-    a time as ISO 8601, or None.
+    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude, height), an area, a line, or None;
+    `when`, a time as ISO 8601, or None.
 
-    Degrees on WGS 84, heights in m above EGM96, as in the standard. Areas are clamped to the ground.
+    Degrees on WGS 84, heights in m above EGM96, as in the standard. Areas and lines are clamped to the ground.
     """
 
     name: str
@@ -72,6 +79,11 @@ def kml(title: str, description: str, folders: Mapping[str, Sequence[Placemark]]
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
+def as_file(document: bytes, driver: str) -> bytes:
+    """A document for a file of the driver "KML" or "KMZ"."""
+    return document if driver == "KML" else kmz(document)
+
+
 def kmz(document: bytes) -> bytes:
     """A KML document zipped, as doc.kml."""
     sink = io.BytesIO()
@@ -100,7 +112,7 @@ def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
         parts = shapely.get_parts(mark.place)
         parent = element if len(parts) == 1 else ET.SubElement(element, "MultiGeometry")
         for part in parts:
-            _polygon(parent, part)
+            _polygon(parent, part) if part.geom_type == "Polygon" else _line(parent, part)
     elif mark.place is not None:
         point = ET.SubElement(element, "Point")
         _text(point, "altitudeMode", "absolute")
@@ -122,10 +134,20 @@ def _told(name: str, value: Any) -> tuple[str, str]:
     return title, format(value, spec) if spec and is_number else _shown(value)
 
 
+def _line(parent: ET.Element, line: Any) -> None:
+    _text(_on_ground(parent, "LineString"), "coordinates", _coordinates(line.coords))
+
+
+def _on_ground(parent: ET.Element, tag: str) -> ET.Element:
+    """A new geometry that follows the ground."""
+    element = ET.SubElement(parent, tag)
+    _text(element, "tessellate", "1")
+    _text(element, "altitudeMode", "clampToGround")
+    return element
+
+
 def _polygon(parent: ET.Element, area: Any) -> None:
-    polygon = ET.SubElement(parent, "Polygon")
-    _text(polygon, "tessellate", "1")
-    _text(polygon, "altitudeMode", "clampToGround")
+    polygon = _on_ground(parent, "Polygon")
     for kind, rings in (("outer", [area.exterior]), ("inner", area.interiors)):
         for ring in rings:
             boundary = ET.SubElement(ET.SubElement(polygon, f"{kind}BoundaryIs"), "LinearRing")
@@ -139,7 +161,7 @@ def _coordinates(places: Any) -> str:
 
 def _style(document: ET.Element, name: str, colour: str) -> None:
     style = ET.SubElement(document, "Style", id=name)
-    if name != "area":
+    if name not in LINES:
         icon = ET.SubElement(style, "IconStyle")
         _text(icon, "color", colour)
         _text(icon, "scale", "0.7")
@@ -147,7 +169,10 @@ def _style(document: ET.Element, name: str, colour: str) -> None:
     line = ET.SubElement(style, "LineStyle")
     _text(line, "color", f"ff{colour[2:]}")
     _text(line, "width", "2")
-    _text(ET.SubElement(style, "PolyStyle"), "color", colour)
+    fill = ET.SubElement(style, "PolyStyle")
+    _text(fill, "color", colour)
+    if name == "outline":
+        _text(fill, "fill", "0")
 
 
 def _schema(document: ET.Element, schema_id: str, tables: Sequence[Mapping[str, Any]]) -> None:

@@ -13,7 +13,7 @@ from pyproj.transformer import Transformer
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
 from jaxgeo.io.datum_names import is_ellipsoid, known_datum, why_unclear
 from jaxgeo.io.errors import VerticalDatumError
-from jaxgeo.io.vertical import HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
+from jaxgeo.io.vertical import INSTEAD, HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
 
 ELLIPSOID = "WGS 84 ellipsoid"
 CLOSE = 1.0  # m: tolerance of semi-axes of ellipsoids with equivalent heights, such as GRS 80
@@ -81,7 +81,8 @@ def map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
         try:
             shift = height_shift(vertical, area=area)
         except VerticalDatumError as error:
-            raise VerticalDatumError(f"{name}: {error}") from error
+            reason = f"{error}".replace(f" {INSTEAD}", "")  # which a file cannot name
+            raise VerticalDatumError(f"{name}: {reason}") from error
         note = f"{to_flat}; heights: {shift.name}"
         return MapCRS(coded(whole), flat, vertical.name, to_flat.transformer, None, shift, note)
     if len(known.axis_info) != 3:

@@ -14,11 +14,15 @@ from jaxgeo.io._schema import SceneTable, Unit
 
 _BRANCH = re.compile(r"(constrained-)?(str|float)|(list|union)\[.*\]|StatedTable")  # pydantic's name of a union branch
 
+UNITS = re.compile(r"_(deg|rad|mrad|m|mm|um|cm|km|ft|feet|px|pixels|s|ms)$")
+IN_DOUBT = 0.05  # difference of likeness of two spellings to a third that leaves open which was meant
+
 
 def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
     """One sentence for each mistake: the key, the value, and the expected key, unit or range."""
     mistakes = list(_without_branches(error))
-    suggested = {(*e["loc"][:-1], _meant(e["loc"])) for e in mistakes if e["type"] == "extra_forbidden"}
+    unknown = [e["loc"] for e in mistakes if e["type"] == "extra_forbidden"]
+    suggested = {(*loc[:-1], name) for loc in unknown for name in _meant(loc)}
     lines = []
     for mistake in mistakes:
         if mistake["type"] == "missing" and mistake["loc"] in suggested:
@@ -121,20 +125,33 @@ def _expected(loc: tuple[Any, ...], lead: str) -> str:
 
 
 def _stem(key: str) -> str:
-    return re.sub(r"_(deg|rad|mrad|m|mm|um|cm|km|ft|feet|px|pixels|s|ms)$", "", key)
+    return UNITS.sub("", key)
 
 
-def _meant(loc: tuple[Any, ...]) -> str | None:
-    """The known key that an unknown one probably means: the same word with another unit, or a near spelling."""
+def _meant(loc: tuple[Any, ...]) -> list[str]:
+    """The known keys that an unknown one may mean: a longer or shorter name in the same unit, or in any if it has none,
+    else the same word in another unit, else those of the nearest spelling."""
     key, table = str(loc[-1]), _table_at(loc[:-1])
-    known = list(table.model_fields) if table else []
+    known, unit = list(table.model_fields) if table else [], UNITS.search(key)
+    same_unit = [name for name in known if name.endswith(unit[0] if unit else "") and _extends(name, key)]
     same_word = [name for name in known if _stem(name) == _stem(key)]
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
-    return (same_word + near + [None])[0]
+    near = difflib.get_close_matches(key, known, n=3, cutoff=0.6)
+    nearest = [name for name in near if _likeness(name, key) > _likeness(near[0], key) - IN_DOUBT]
+    return same_unit or same_word or nearest
+
+
+def _extends(one: str, other: str) -> bool:
+    """Whether the words of one key begin with those of the other."""
+    short, long = sorted((_stem(one).split("_"), _stem(other).split("_")), key=len)
+    return long[: len(short)] == short
+
+
+def _likeness(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one, other).ratio()
 
 
 def _advice(loc: tuple[Any, ...]) -> str:
     meant, table = _meant(loc), _table_at(loc[:-1])
     if meant:
-        return f"write {meant}{_expected((*loc[:-1], meant), ', ')}"
+        return "write " + "; or ".join(f"{name}{_expected((*loc[:-1], name), ', ')}" for name in meant)
     return f"known here: {', '.join(table.model_fields)}" if table else "no table is expected here"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 import pyproj
@@ -94,11 +95,20 @@ def stated_crs(columns: Columns) -> pyproj.CRS | None:
 
 
 def datum_of(columns: Columns, given: str | float | None) -> str | float | None:
-    """The vertical datum of a table's heights: the caller's, else that of its column `height_datum`. Raises
-    `TableError` if they differ, and for a column that states several, or none of `DATUM` and no undulation."""
+    """The vertical datum of a table's heights: the caller's, else that of its column `height_datum`. Raises as
+    `stated_datum`."""
     if "height_datum" not in columns:
         return given
-    path, stated = columns.table.path, np.unique(columns.names("height_datum"))
+    return stated_datum(columns.table.path, columns.names("height_datum"), given)
+
+
+def stated_datum(path: object, cells: Iterable[str], given: str | float | None) -> str | float:
+    """The vertical datum in the cells of a column `height_datum`.
+
+    Raises `TableError` if the caller gives another, and for cells that state several, or none of `DATUM` and no
+    undulation.
+    """
+    stated = np.unique([*cells])
     text, number = str(stated[0]), number_in(str(stated[0]))
     if len(stated) > 1:
         raise TableError(f"{path}: its column height_datum states both {text} and {stated[1]}; write a table for each.")

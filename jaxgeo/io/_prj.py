@@ -12,6 +12,8 @@ from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io.errors import TableError
 
 ENDING = ".prj"
+NAMELESS = ("", "unknown", "unnamed")
+UNITS = {"degree": "deg"}
 
 
 def prj_beside(path: str | os.PathLike[str]) -> pathlib.Path | None:
@@ -34,8 +36,17 @@ def read_prj(path: str | os.PathLike[str]) -> pyproj.CRS:
 
 
 def name_of(crs: pyproj.CRS) -> str:
-    """The name of a CRS, with its code if it has one: `WGS 84 / UTM zone 16N (EPSG:32616)`."""
+    """The name of a CRS, with its code if it has one: `WGS 84 / UTM zone 16N (EPSG:32616)`; or its projection and
+    ellipsoid."""
     code = ":".join(crs.to_authority(min_confidence=70) or ())
+    way = crs.coordinate_operation
+    if crs.name.lower() in NAMELESS and not code and way is not None and crs.ellipsoid is not None:
+        origin = [
+            f"{one.name.lower()} {one.value:g} {UNITS.get(one.unit_name.lower(), one.unit_name)}"
+            for one in way.params
+            if one.name.startswith("Longitude")
+        ]
+        return f"a map without a name ({', '.join([f'{way.method_name}', *origin, f'{crs.ellipsoid.name}'])})"
     return f"{crs.name} ({code})" if code else crs.name
 
 

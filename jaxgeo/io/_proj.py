@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
+import re
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
 
 # pyproj's exceptions for an unknown CRS; the last one for text that UTF-8 cannot encode.
 UNKNOWN_CRS = (CRSError, UnicodeEncodeError)
+
+UTM_ZONE = re.compile(r"(?:UTM)?[ _-]*(?:zone)?[ _-]*(\d{1,2})[ _-]*([NS])", re.IGNORECASE)
 
 # The pyproj wheels carry no grids and ignore PROJ_DATA. This adds only the EGM96 grid of the package.
 append_data_dir(str(DATA))
@@ -57,9 +60,21 @@ def known_crs(given: Any) -> pyproj.CRS:
 
     Raises one of `UNKNOWN_CRS`.
     """
-    crs = pyproj.CRS.from_user_input(given)
+    try:
+        crs = pyproj.CRS.from_user_input(given)
+    except CRSError as error:
+        raise CRSError(_usual_code(given) or "give a code, such as EPSG:32616, or a definition in WKT.") from error
     _ = crs.geodetic_crs, crs.source_crs, crs.sub_crs_list
     return crs
+
+
+def _usual_code(given: Any) -> str | None:
+    """Advice for the name of a UTM zone alone, which stands for zones of many datums; None for others."""
+    found = UTM_ZONE.fullmatch(given.strip()) if isinstance(given, str) else None
+    if found is None or not 1 <= int(found[1]) <= 60:
+        return None
+    code = (32600 if found[2].upper() == "N" else 32700) + int(found[1])
+    return f"a zone without a datum; write EPSG:{code} for WGS 84 / UTM zone {int(found[1])}{found[2].upper()}."
 
 
 def operation(source: Any, target: Any, area: tuple[float, float, float, float] | None = None) -> Operation:
@@ -101,18 +116,18 @@ def _group(source: pyproj.CRS, target: pyproj.CRS, area: tuple[float, float, flo
         raise NoOperation(source.name, target.name, []) from error
 
 
-def how_to_get(missing: list[tuple[str, str, str]]) -> str:
-    """The missing grid files, and how to install them for PROJ."""
+def how_to_get(missing: list[tuple[str, str, str]], datum: str | None = None) -> str:
+    """The missing grid files, and how to install them for PROJ; `datum` is the code of the vertical datum that needs
+    them."""
     files = list(dict.fromkeys(grid for _, grid, _ in missing))
     on_net = [grid for grid in files if any(g == grid and url for _, g, url in missing)]
     shown = ", ".join(files[:4]) + (f" and {len(files) - 4} more" if len(files) > 4 else "")
     sync = f"sync --file {on_net[0]}" if on_net else ""
     how = f"`pyproj {sync}` (or PROJ's `proj{sync}`) downloads it; or" if on_net else "Get it from its publisher and"
+    if datum is not None and len(on_net) == 1:
+        how = f"`jaxgeo dem --geoid {datum}` downloads it; or"
     choice = " (which of them depends on the place)" if len(files) > 1 else ""
-    return (
-        f"the grid file is missing: {shown}{choice}. {how} put the file into "
-        f"{get_user_data_dir()}, or name its folder with pyproj.datadir.append_data_dir(folder)."
-    )
+    return f"the grid file is missing: {shown}{choice}. {how} put the file into {get_user_data_dir()}."
 
 
 def unit_normals(lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:

@@ -94,7 +94,7 @@ def bands_of(found: AccuracyMap) -> np.ndarray:
 def band_names(probability: float) -> tuple[str, ...]:
     """Names of the bands."""
     percent = f"{100.0 * probability:g}"
-    return f"CE{percent}, m", f"LE{percent}, m", "verdict", "status"
+    return f"CE{percent}, m", f"LE{percent}, m", "method", "status"
 
 
 def write_bands(
@@ -131,11 +131,11 @@ def write_bands(
 
 def tags_of(found: AccuracyMap) -> dict[str, str]:
     """What the codes of a map mean, the probability and the number of samples."""
-    verdicts = [(NO_FIX, "no fix"), *((int(one), one.words) for one in Method)]
+    methods = [(NO_FIX, "no fix"), *((int(one), one.words) for one in Method)]
     return {
         "SOFTWARE": "jaxgeo",
         "PROBABILITY": f"{found.probability:g}",
         "SAMPLES": str(found.count),
-        "VERDICT_CODES": " | ".join(f"{code}: {words}" for code, words in verdicts),
+        "METHOD_CODES": " | ".join(f"{code}: {words}" for code, words in methods),
         "STATUS_CODES": " | ".join(f"{int(one)}: {found.meaning(one).rstrip('.')}" for one in Status),
     }

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pyproj
 
+from jaxgeo.earth import Geodetic
+from jaxgeo.io.files import DemFiles
 from jaxgeo.terrain import Dem, GeographicGrid
 
 
-def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
+def extent_deg(dem: Dem | DemFiles) -> tuple[float, float, float, float]:
     """(west, south, east, north) in deg of a DEM's outline; east is not less than west."""
-    rows, cols = (int(posts) - 1 for posts in np.asarray(dem.extent))
+    assert dem.grid is not None
+    rows, cols = (int(posts) - 1 for posts in np.asarray(dem.extent if isinstance(dem, Dem) else dem.shape))
     ways = np.linspace(0.0, 1.0, 9)
     edge = [(r * rows, c * cols) for r in ways for c in ways]
     x, y, z = np.moveaxis(np.asarray(jax.vmap(dem.grid.normal)(jnp.array(edge))), -1, 0)
@@ -25,7 +29,7 @@ def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
     return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
 
 
-def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the camera") -> str | None:
+def place_beside(dem: Dem | DemFiles, lat_deg: float, lon_deg: float, what: str = "the camera") -> str | None:
     """Message with the distance of a position outside a DEM and both locations; None if inside or not finite.
 
     `what` names the position in the message, which says if the position with exchanged coordinates is inside.
@@ -45,6 +49,15 @@ def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the came
         f"{what} is at {lat_deg:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
         f"{_kilometres(off)} km beside it{exchanged}"
     )
+
+
+def camera_beside(terrain: Any, position: Geodetic) -> str | None:
+    """`place_beside` of a camera, or of the first of several; None also for a terrain that is no DEM, and for files too
+    large for one grid."""
+    if not isinstance(terrain, Dem | DemFiles) or terrain.grid is None:
+        return None
+    lat, lon = (float(np.rad2deg(np.ravel(angle)[0])) for angle in (position.lat, position.lon))
+    return place_beside(terrain, lat, lon)
 
 
 def _is_within(edges: tuple[float, float, float, float], lat_deg: float, lon_deg: float) -> bool:

@@ -1,4 +1,4 @@
-"""Footprint files: image outlines on the ground as GeoJSON or GeoPackage, in any CRS of PROJ."""
+"""Footprint files: image outlines on the ground as GeoJSON or GeoPackage in any CRS of PROJ, or as KML."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ from jaxgeo.coverage._footprint import Footprint
 from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._features import Feature, has_heights
 from jaxgeo.io._geopackage import check_vector_driver, one_layer
+from jaxgeo.io._kml import Placemark, as_file, kml
 from jaxgeo.io._outlines import line, outline, runs
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
 from jaxgeo.io._qgis import qml
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.status import Status
 
-DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
+DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG", ".kml": "KML", ".kmz": "KMZ"}
+IN_KML = ("KML", "KMZ")
 LAYER = "footprints"
 OWN = ("index", "kind", "kind_of_edge", "status", "status_text", "hidden_share", "area_m2")
 TAKEN = (*OWN, "fid", "geom", "geometry")  # the last three are reserved by GeoPackage and its readers
@@ -68,19 +70,20 @@ def write_footprints(
     edges: bool = False,
     style: bool = False,
 ) -> None:
-    """Write image outlines on the ground to GeoJSON (.geojson, .json) or GeoPackage (.gpkg).
+    """Write image outlines on the ground to GeoJSON (.geojson, .json), GeoPackage (.gpkg) or KML (.kml, .kmz).
 
     Each footprint is a polygon with the attributes `index` (position in `footprints`), `kind` "outline", `status` and
     `status_text`, `hidden_share` (share of the outline's 3D length that crosses hidden ground) and `area_m2`.
     Incomplete footprints have no geometry. Outer rings run anticlockwise; polygons are cut at the date line.
 
     - `crs`: anything pyproj takes. Points have no heights, except in a geographic 3D CRS, such as "EPSG:4979". GeoJSON
-      in another CRS than WGS 84 names it with the pre-RFC 7946 member, which not every reader supports.
+      in another CRS than WGS 84 names it with the pre-RFC 7946 member, which not every reader supports. KML is always
+      in WGS 84, its outlines clamped to the ground and named by the attribute `name`, if there is one.
     - `attributes`: for each footprint numbers, texts or None by name, the same names for all; or one mapping of
       names to a value for each.
     - `edges`: also lines, of `kind` "edge", along visible ground and where the outline crosses hidden ground
       (`kind_of_edge` "seen" or "hidden"); for incomplete footprints, too.
-    - `style`: also a style for QGIS, outlines without a fill, as in `write_fixes`.
+    - `style`: also a style for QGIS, outlines without a fill, as in `write_fixes`; not of KML, which has its own.
 
     The file appears only when complete. Raises `ValueError` for a path that cannot be written to, for no footprints,
     for a CRS that is unknown, unsuitable or does not cover the footprints, and for attributes that do not match;
@@ -88,6 +91,8 @@ def write_footprints(
     """
     target = pathlib.Path(path)
     driver = _driver(target)
+    if style and driver in IN_KML:
+        raise ValueError(f"{target}: KML has a style of its own, and none for QGIS; leave style= out.")
     if not isinstance(footprints, list | tuple) or not footprints:
         raise ValueError(f"{target}: footprints must be a list of one or more; got {type(footprints).__name__}.")
     for footprint in footprints:
@@ -104,10 +109,27 @@ def write_footprints(
             if edges:
                 features += _edges(index, one, places, chart, extra[index])
         names = [name for name in OWN if edges or name != "kind_of_edge"] + list(extra[0])
-        stream.write(one_layer(f"{target}", driver, LAYER, features, names, chart.crs, style=style))
+        if driver in IN_KML:
+            stream.write(as_file(_kml(target, features), driver))
+        else:
+            stream.write(one_layer(f"{target}", driver, LAYER, features, names, chart.crs, style=style))
     if style and driver != "GPKG":
         with destination("style", target.with_suffix(".qml")) as stream:
             stream.write(qml())
+
+
+def _kml(target: pathlib.Path, features: Sequence[Feature]) -> bytes:
+    """Outlines in one folder, their edges in another."""
+    marks: dict[str, list[Placemark]] = {}
+    for shape, row in features:
+        is_edge = row["kind"] == "edge"
+        name = f"{row.get('name') or row.get('shot') or 'footprint {}'.format(row['index'])}"
+        title = f"{row['kind_of_edge']} edge of {name}" if is_edge else name if shape else f"{name}: {row['status']}"
+        marks.setdefault("Edges" if is_edge else "Footprints", []).append(Placemark(title, "outline", row, shape))
+    try:
+        return kml("Footprints", "Outlines of images on the ground.", marks)
+    except ValueError as error:
+        raise ValueError(f"{target}: {error}") from error
 
 
 def check_footprint_file(
@@ -181,6 +203,8 @@ def checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_See
     flat = known if is_3d else horizontal_part(known)
     if not (flat.is_geographic or flat.is_projected):
         raise ValueError(f"{target}: a map needs a projected or geographic crs; {flat.name!r} is a {flat.type_name}.")
+    if driver in IN_KML and flat != pyproj.CRS.from_epsg(4326):
+        raise ValueError(f"{target}: KML has longitudes and latitudes on WGS 84; leave crs out, or write a .gpkg.")
     if driver == "GeoJSON" and flat.to_authority() is None:
         raise ValueError(
             f"{target}: GeoJSON names a crs by its code, and {flat.name!r} has none that PROJ knows; write a .gpkg."

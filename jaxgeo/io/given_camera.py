@@ -136,7 +136,9 @@ def _lens(text: str) -> Lens:
 def _quantity(text: str, name: str, written: str) -> tuple[float, str]:
     matched = _VALUE.fullmatch(written.lower().replace("µ", "u").replace("μ", "u"))
     if matched is None or matched[2] not in UNITS[name] or not 0.0 < float(matched[1]) < math.inf:
-        raise _wrong(text, f"{name}={written.strip()} is not a number above zero in {' or '.join(UNITS[name])}")
+        is_of_one = matched is not None and float(matched[1]) > 0.0 and len(UNITS[name]) == 1
+        hint = f" ({name}={matched[1]}{UNITS[name][0]}?)" if matched is not None and is_of_one else ""
+        raise _wrong(text, f"{name}={written.strip()} is not a number above zero in {' or '.join(UNITS[name])}{hint}")
     return float(matched[1]), matched[2]
 
 

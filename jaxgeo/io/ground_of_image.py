@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._arguments import checked_exposure
-from jaxgeo.io.errors import NothingSeen
 from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.locate_on_disk import lines_of_sight
-from jaxgeo.io.map_raster import MapRaster, image_spacing, lattice_of, map_of, raster_of
+from jaxgeo.io.map_raster import MapRaster, image_spacing, lattice_of, map_of, nothing_seen, raster_of
 from jaxgeo.io.sightlines import Sightlines
 from jaxgeo.io.windows import Window, padded_shape
 from jaxgeo.sensor import Sensor, Shot, Trajectory
@@ -76,7 +75,7 @@ def window_of_image(
     path = files.follow(rays)
     window, whole = files.window_under(path)
     if window is None:
-        raise NothingSeen(f"{name}: no line of sight of the image comes near the ground of {files.source.name}.")
+        raise nothing_seen(name, shot, files)
     return path, window, whole
 
 

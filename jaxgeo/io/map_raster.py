@@ -20,11 +20,12 @@ from jaxgeo.earth import WGS84
 from jaxgeo.io._outlines import outline
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, Operation, known_crs, operation
 from jaxgeo.io.errors import DemError, NothingSeen
+from jaxgeo.io.extent import camera_beside
 from jaxgeo.io.files import DemFiles
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.vertical import horizontal_part
-from jaxgeo.sensor import Pose, Sensor
+from jaxgeo.sensor import Pose, Sensor, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.grid import AbstractGrid
@@ -186,7 +187,7 @@ def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain
     """
     uv, lon, lat, seen = _seen(sensor, shot, terrain, how)
     if not seen.any():
-        raise _sees_nothing(name)
+        raise nothing_seen(name, shot, terrain)
     place = np.radians([lon - lon[seen][0], lat])
     place[0] = np.remainder(place[0] + np.pi, 2.0 * np.pi) - np.pi
     east, north = (WGS84.a * x.reshape(LATTICE, LATTICE) for x in (place[0] * np.cos(place[1]), place[1]))
@@ -221,7 +222,7 @@ def _area(name: str, sensor: Sensor, shot: Any, terrain: Any, how: Mapping[str, 
     else:
         _, lon, lat, seen = _seen(sensor, shot, terrain, how)
         if not seen.any():
-            raise _sees_nothing(name)
+            raise nothing_seen(name, shot, terrain)
         lon, lat = lon[seen], lat[seen]
     return lon[0] + np.remainder(lon - lon[0] + 180.0, 360.0) - 180.0, lat
 
@@ -257,8 +258,12 @@ def _seen(
     return uv, lon, lat, seen
 
 
-def _sees_nothing(name: str) -> NothingSeen:
-    return NothingSeen(f"{name}: no line of sight of the image comes down on the terrain; there is nothing to map.")
+def nothing_seen(name: str, motion: Any, terrain: Any) -> NothingSeen:
+    """Error for an image without ground, with the reason if its camera is beside the DEM, or the files of one."""
+    shot = motion.at(motion.start) if isinstance(motion, Trajectory) else motion
+    beside = camera_beside(terrain, shot.pose.position)
+    why = f": {beside}." if beside else "; there is nothing to map."
+    return NothingSeen(f"{name}: no line of sight of the image comes down on the terrain{why}")
 
 
 def _located(sensor: Sensor, shot: Any, uv: jax.Array, terrain: AbstractTerrain, options: dict[str, Any]) -> Any:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 import pathlib
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from jaxgeo._refusals import is_refusal
 from jaxgeo.earth import Atmosphere
+from jaxgeo.io._orientation_columns import stated_datum
 from jaxgeo.io._utc import utc_text
 from jaxgeo.io.acquisitions import Acquisition, AcquisitionSet, Unread, for_each, read_acquisition, read_acquisitions
 from jaxgeo.io.acquisitions._camera_checks import camera_doubts
@@ -42,6 +44,7 @@ from jaxgeo.uncertainty.sources import (
 
 Path = str | os.PathLike[str]
 CENTRE = ("centre_lat_deg", "centre_lon_deg", "centre_height_m")  # as the file reports it, height above the ellipsoid
+MOST_REASONS = 4  # told of files that cannot be read
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff", ".png", ".jp2", ".webp")  # of images that may be meant by a name
 
 
@@ -140,7 +143,23 @@ def read_files(
     first, *others = sorted(found.unread, key=lambda one: is_refusal(one.error))  # internal errors first
     if not others or not is_refusal(first.error):
         raise first.error
-    raise TableError(f"none of {len(found.unread)} files can be read. First error: {first.reason}") from first.error
+    reasons = reasons_by_count(found.unread)
+    raise TableError(f"none of {len(found.unread)} files can be read. {reasons}") from first.error
+
+
+def reasons_by_count(unread: Sequence[Unread]) -> str:
+    """The reasons why files could not be read, most frequent first, each with its number and the first such file.
+
+    Reasons that differ by the file and by numbers only are one.
+    """
+    kinds: dict[str, list[str]] = {}
+    for one in unread:
+        kind = re.sub(r"\d+", "0", one.reason.replace(one.path, "").replace(one.name, ""))
+        kinds.setdefault(kind, []).append(one.reason)
+    several = sorted(kinds.values(), key=len, reverse=True)
+    told = [f"{f'{len(some)} of them: ' * (len(several) > 1)}{some[0].rstrip('.')}." for some in several]
+    more = [f"And {len(several) - MOST_REASONS} other reasons."] if len(several) > MOST_REASONS else []
+    return " ".join(told[:MOST_REASONS] + more)
 
 
 def is_scene_file(path: Path) -> bool:
@@ -158,15 +177,24 @@ def height_datum_of(scene: Scene, path: Path, table: Path) -> str | float:
     return scene.height_datum
 
 
-def check_stated(table: ShotTable, path: Path, gimbal: Gimbal, height_datum: str | float) -> None:
-    """Raises `TableError` if a table of shots and its scene disagree on the gimbal reference or the vertical datum."""
-    meant = {GIMBAL_REFERENCE: ("gimbal angles", gimbal.reference), "height_datum": ("heights", height_datum)}
-    for name, (what, ours) in meant.items():
-        for stated in {str(row.get(name) or "") for row in table.rows} - {"", str(ours)}:
-            raise TableError(
-                f"{path}: its {what} are relative to {stated!r} (column {name}), in the scene to {str(ours)!r}; use a "
-                f"matching scene, or run jaxgeo locate FILE on the original file."
-            )
+def datum_of_shots(
+    table: ShotTable, path: Path, scene: Scene, of_scene: Path, given: str | float | None = None
+) -> str | float:
+    """Vertical datum of the heights of a table of shots: of its column `height_datum`, else as `given`, else the
+    scene's. Raises as `stated_datum` and `height_datum_of`."""
+    cells = [str(row.get("height_datum") or "") for row in table.rows]
+    if any(cells):
+        return stated_datum(path, cells, given)
+    return height_datum_of(scene, of_scene, path) if given is None else given
+
+
+def check_reference(table: ShotTable, path: Path, gimbal: Gimbal) -> None:
+    """Raises `TableError` if a table of shots and its scene disagree on the reference of gimbal angles."""
+    for stated in {str(row.get(GIMBAL_REFERENCE) or "") for row in table.rows} - {"", gimbal.reference}:
+        raise TableError(
+            f"{path}: its gimbal angles are relative to {stated!r} (column {GIMBAL_REFERENCE}), in the scene to "
+            f"{gimbal.reference!r}; use a matching scene, or run jaxgeo locate FILE on the original file."
+        )
 
 
 def _of_scene(
@@ -184,9 +212,9 @@ def _of_scene(
     else:
         if pixels is not None:
             raise TableError("give either pixels= or shots=FILE, a table with pixels.")
-        datum = height_datum_of(scene, path, shots)
         table = read_shots(shots, scene.sensor.gimbal.names)
-        check_stated(table, shots, scene.sensor.gimbal, datum)
+        datum = datum_of_shots(table, shots, scene, path)
+        check_reference(table, shots, scene.sensor.gimbal)
         try:
             motion, uv = table.as_records(scene.sensor.gimbal.names, datum)
         except (OutsideDatum, VerticalDatumError) as error:

@@ -311,6 +311,8 @@ def _check_degrees(columns: Columns, crs: pyproj.CRS, lon: np.ndarray, lat: np.n
     if np.any(beyond):
         row = int(np.argmax(beyond))
         reason = f"({lon[row]:.10g}, {lat[row]:.10g}) are no longitude and latitude in deg, but crs is {crs.name!r}."
+        if np.all(np.abs(lon) <= 90.0):
+            reason += " They would be with the two exchanged: give the longitude before the latitude."
         raise columns.table.wrong(row, name, reason)
     refuse_nowhere(columns.table, name, lat, lon)
 

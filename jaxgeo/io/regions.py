@@ -20,9 +20,9 @@ from jaxgeo._destination import destination
 from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._features import Feature
 from jaxgeo.io._geopackage import check_vector_driver, one_layer
-from jaxgeo.io._kml import Placemark, kml, kmz
+from jaxgeo.io._kml import Placemark, as_file, kml
 from jaxgeo.io._outlines import within_a_turn
-from jaxgeo.io.footprints import checked_map
+from jaxgeo.io.footprints import DRIVERS, IN_KML, checked_map
 from jaxgeo.io.map_raster import (
     MOST_CELLS,
     MapRaster,
@@ -39,7 +39,6 @@ from jaxgeo.io.mapping import FileMap
 from jaxgeo.io.ortho_writer import OrthoWriter
 from jaxgeo.uncertainty import Mode, ProbabilityMap, Region
 
-DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG", ".kml": "KML", ".kmz": "KMZ"}
 KIND = "highest-density region of samples, no ellipse"
 PIECE = "piece of a highest-density region of samples, no ellipse"
 POINTS = 2**20  # places that are looked up at a time
@@ -79,10 +78,7 @@ def write_region(
         raise ValueError(f"{target}: regions must be one or more; got none.")
     for region in several:
         check_is(region, Region, "regions", "Make them with Sampled.region.")
-    is_kml = driver in ("KML", "KMZ")
-    chart = checked_map(target, crs, "GPKG" if is_kml else driver)
-    if is_kml and chart.crs != pyproj.CRS.from_epsg(4326):
-        raise ValueError(f"{target}: KML has longitudes and latitudes on WGS 84; leave crs out, or write a .gpkg.")
+    chart = checked_map(target, crs, driver)
     extra = _checked_attributes(target, attributes, several)
     with destination("regions", target, binary=True) as stream:
         features = []
@@ -93,9 +89,8 @@ def write_region(
                     Feature(_on_map(target, chart, mode.polygon), _row(index, region, mode) | extra[index])
                     for mode in region.modes
                 ]
-        if is_kml:
-            document = _kml(features)
-            stream.write(document if driver == "KML" else kmz(document))
+        if driver in IN_KML:
+            stream.write(as_file(_kml(features), driver))
         else:
             stream.write(one_layer(f"{target}", driver, "regions", features, list(features[0].attributes), chart.crs))
 

@@ -23,6 +23,7 @@ USUAL_CHOICES = (
     'products), the code of a national height system, "ellipsoid" (heights above WGS 84), a constant undulation in m, '
     "or the path of a geoid grid"
 )
+INSTEAD = "Pass a constant undulation in m or the path of a geoid grid as vertical_datum=..."
 FILE, CALLER = "stated by the file", "stated by the caller"
 LARGEST_UNDULATION = 200.0  # m; the geoid stays within -107 and +86 m of the ellipsoid, local datums a little beyond
 
@@ -266,11 +267,12 @@ def _unreachable(crs: pyproj.CRS, is_alone: bool, error: NoOperation) -> Vertica
             "heights (change their sign)."
         )
     else:
-        other = "Pass a constant undulation in m or the path of a geoid grid as vertical_datum=..."
+        other = INSTEAD
         if is_alone and vertical_unit(crs) != 1.0:
             other += f", and where the file does not state the unit ({crs.axis_info[-1].unit_name}), height_unit=..."
     if error.missing:
-        how = how_to_get(error.missing)
+        code = crs.to_authority() if crs.is_vertical else None
+        how = how_to_get(error.missing, None if code is None else ":".join(code))
         return VerticalDatumError(f"heights above {crs.name!r} need a geoid grid, and {how} {other}")
     return VerticalDatumError(
         f"PROJ knows no transformation from heights above {crs.name!r} to the WGS 84 ellipsoid (a ballpark one, "

@@ -19,6 +19,7 @@ from jaxgeo.uncertainty import Accuracy
 
 MOST_POINTS = 900  # per section, enough for a screen
 MOST_DOTS = 3000
+CASING = "#fefefe"  # around lines over the ground: white, and as dark as the page on a dark one
 SHOWN = 0.99  # share of the samples
 FAR = 8.0  # times the largest circle: limit of the initial extent
 
@@ -48,7 +49,8 @@ def section_chart(section: Section, name: str) -> Any:
     chart.line(np.append(km[before], end), np.append(sight[before], at), line_color=SIGHT, line_width=2.2)
     if behind.any() and len(section.hits):
         x, y = np.insert(km[behind], 0, end), np.insert(sight[behind], 0, at)
-        chart.line(x, y, line_color=SIGHT, line_width=1.6, line_dash="dashed", line_alpha=0.8)
+        chart.line(x, y, line_color=CASING, line_width=4.0, line_alpha=0.7)
+        chart.line(x, y, line_color=SIGHT, line_width=1.6, line_dash="dashed")
     _add_tips(chart, km, sight, ground, unit)
     _hits(chart, section, scale)
     chart.scatter([0.0], [float(section.sight[0])], marker="triangle", size=13, fill_color=SIGHT, line_color="#ffffff")

@@ -46,7 +46,7 @@ LAYERS = (  # key, label, (swatch kind, colour)
     ("outline", "image footprint", ("line", INK)),
     ("sight", "line of sight", ("line", SIGHT)),
     ("camera", "camera", ("dot", SIGHT)),
-    ("samples", "samples", ("dot", SKY)),
+    ("samples", "samples", ("dots", SKY)),
     ("region", "region of samples", ("area", REGION)),
     ("ellipse", "error ellipse (linear), or circle of samples", ("ring", VERMILLION)),
     ("fix", "fix", ("dot", VERMILLION)),

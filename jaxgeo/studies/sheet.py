@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import pathlib
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TextIO
 
 from rich import box
+from rich.console import Group
 from rich.table import Table
 
 Cell = str | int | float | None
@@ -31,27 +31,35 @@ class Sheet:
         formats = list(self.columns.values())
         return [[_shown(cell, spec) for cell, spec in zip(row, formats, strict=True)] for row in self.rows]
 
-    def to_rich(self, width: int) -> Table:
-        """Table for a terminal of `width` characters. Numbers are never cut; if long remarks in the last column do
-        not fit beside them, they go below, and if that is still too wide, column names are wrapped."""
+    def to_rich(self, width: int) -> Table | Group:
+        """Table for a terminal of `width` characters. Numbers and column names are never cut; if long remarks in the
+        last column do not fit beside them, they go below, and columns that still do not fit follow in further tables,
+        which repeat the first column."""
         names, specs, rows = list(self.columns), list(self.columns.values()), self.texts()
         notes = [self.note] if self.note else []
         cells = [max((len(row[i]) for row in rows), default=0) for i in range(len(names))]
-        heads = [_stacked(name, 80) if spec else name for name, spec in zip(names, specs, strict=True)]
+        heads = ["\n".join(name.split()) if spec else name for name, spec in zip(names, specs, strict=True)]
         if not specs[-1] and cells[-1] > WORDS and _needed(heads, cells, specs) > width:
             notes += [f"{i}: {row[-1]}" for i, row in enumerate(rows, 1) if row[-1]]
             rows = [[*row[:-1], str(i) if row[-1] else ""] for i, row in enumerate(rows, 1)]
             heads[-1], cells[-1] = "", 2
-        if _needed(heads, cells, specs) > width:
-            each = zip(heads, cells, specs, strict=True)
-            heads = [_stacked(head, max(5, cell)) if spec else head for head, cell, spec in each]
-        table = Table(title=self.title, caption="\n".join(notes), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.title_justify = table.caption_justify = "left"
-        for head, spec in zip(heads, specs, strict=True):
-            table.add_column(head, justify="right" if spec else "left", no_wrap=bool(spec), overflow="fold")
-        for row in rows:
-            table.add_row(*row)
-        return table
+        parts: list[list[int]] = [[0]]
+        for i in range(1, len(names)):
+            some = [*parts[-1], i]
+            needed = _needed([heads[k] for k in some], [cells[k] for k in some], [specs[k] for k in some])
+            if len(some) > 2 and needed > width:
+                parts.append([0])
+            parts[-1].append(i)
+        tables = [Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)) for _ in parts]
+        for table, part in zip(tables, parts, strict=True):
+            for i in part:
+                spec = specs[i]
+                table.add_column(heads[i], justify="right" if spec else "left", no_wrap=bool(spec), overflow="fold")
+            for row in rows:
+                table.add_row(*(row[i] for i in part))
+            table.title_justify = table.caption_justify = "left"
+        tables[0].title, tables[-1].caption = self.title, "\n".join(notes)
+        return tables[0] if len(tables) == 1 else Group(*tables)
 
     def to_markdown(self) -> str:
         """The table as Markdown."""
@@ -74,11 +82,6 @@ def write_sheets(title: str, sheets: Sequence[Sheet], folder: pathlib.Path, *, b
             sheet.write_csv(stream)
     text = f"# {title}\n\n" + "\n".join(sheet.to_markdown() for sheet in sheets)
     (folder / "tables.md").write_text(text, encoding="utf-8")
-
-
-def _stacked(name: str, width: int) -> str:
-    """A column name with one word per line, breaking words longer than `width` characters."""
-    return "\n".join(line for word in name.split() for line in textwrap.wrap(word, width))
 
 
 def _needed(heads: Sequence[str], cells: Sequence[int], specs: Sequence[str]) -> int:

@@ -46,6 +46,7 @@ MARGIN, MARGIN_OF_SPREAD, SPREAD = 0.014, 0.45, 0.1
 MARGIN_OF_JUMPS, FEWEST_JUMPS = 0.08, 1e-6  # where lines of sight jump or fail with a probability
 GRAZING = 0.01  # sine of the angle between ray and surface
 PLANAR = 0.01  # of the larger of two figures: smaller differences by two slopes are those of planar ground
+CLOSE = 0.05  # largest difference of circular errors, of their size, that is told as one number
 SAME = 5e-4  # difference of two figures, of their size, that is not worth a word
 
 
@@ -235,7 +236,7 @@ def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     circular = _against_profile("CE90", diagnostics.facet, diagnostics.footprint, diagnostics.profile)
     up = _against_profile("LE90", diagnostics.facet_up, diagnostics.footprint_up, diagnostics.profile_up)
     if method is Method.facet:
-        return f"The ground is nearly planar within the error region: {circular}, which the radii follow."
+        return _planar(diagnostics, circular)
     if method is Method.footprint and _differ(diagnostics.facet, diagnostics.footprint):
         said = "The slope at the fix differs from the mean slope of the error region"
         return f"{said}: {circular}, which the radii follow."
@@ -251,6 +252,17 @@ def explain_method(diagnostics: Diagnostics, method: Method) -> str:
     angle = math.degrees(math.asin(min(float(diagnostics.grazing), 1.0)))
     large = f"The errors are too large for linear propagation with a line of sight at {angle:.2g} deg to the ground"
     return f"{large}, though the ground is nearly planar within the error region: {circular}; {up}."
+
+
+def _planar(diagnostics: Diagnostics, circular: str) -> str:
+    """That linear propagation is valid, with the differences of the figures only if these are large."""
+    profile = float(diagnostics.profile)
+    off = max(abs(float(one) / profile - 1.0) for one in (diagnostics.facet, diagnostics.footprint))
+    said = "The ground is nearly planar within the error region"
+    if off <= CLOSE:
+        percent = max(math.ceil(1e3 * off) / 10.0, 0.1)
+        return f"{said}, as linear propagation needs: CE90 found in three ways is the same within {percent:g} %."
+    return f"{said}: {circular}, which the radii follow."
 
 
 def _differ(one: Any, other: Any) -> bool:

@@ -91,7 +91,7 @@ class TargetState(Record):
         if status is not Status.hit:
             return f"no position: {status.name}: {status.message}"
         lat, lon, height = (float(x) for x in self.position.to_degrees())
-        text = f"{lat:.6f} deg, {lon:.6f} deg, {height:.1f} m, CE90 {figure(self.ce90)} m, LE90 {figure(self.le90)} m"
+        text = f"{lat:.6f} deg, {lon:.6f} deg, {height:z.1f} m, CE90 {figure(self.ce90)} m, LE90 {figure(self.le90)} m"
         east, north, _ = np.asarray(self.velocity_enu)
         if east == north == 0.0 or not math.isfinite(east + north):
             return text

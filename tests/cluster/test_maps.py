@@ -21,6 +21,7 @@ from support.survey import CRS, EAST, NORTH, STEP, survey, write_tiles
 from jaxgeo import Exposure, FrameCamera, Gimbal, Mount, Observation, Sampling, Sensor
 from jaxgeo.cluster import PartsFailed, Run, accuracy_map, connect, rectify_frames
 from jaxgeo.cluster.accuracy_tiles import tiles_of
+from jaxgeo.cluster.orthophotos import part_names
 from jaxgeo.io import DemFiles, Observations, open_dem, read_dem, rectify_file, write_accuracy_map
 from jaxgeo.io.ground_of_image import image_raster
 from jaxgeo.io.map_raster import MapRaster
@@ -107,7 +108,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 def item(folder: pathlib.Path, row: int) -> dict[str, Any]:
-    return json.loads((folder / f"frame-{row:05d}.json").read_text(encoding="utf-8"))
+    return json.loads((folder / f"image_{row}.json").read_text(encoding="utf-8"))
 
 
 def rasters_of(folder: pathlib.Path) -> dict[str, bytes]:
@@ -123,14 +124,26 @@ def test_a_frame_without_an_orthophoto_tells_why(made: Made) -> None:
     assert reasons[:2] == [None, None]
     assert f"image {MISSING}.tif: " in reasons[MISSING]
     assert "no line of sight" in reasons[SKYWARD]
-    assert sorted(path.name for path in made.folder.glob("frame-*[0-9].tif")) == ["frame-00000.tif", "frame-00001.tif"]
+    assert sorted(path.name for path in made.folder.glob("image_[0-9].tif")) == ["image_0.tif", "image_1.tif"]
+
+
+def test_files_are_named_by_images_and_all_are_different() -> None:
+    images = ["a/DJI_0042.JPG", "b/dji_0042.tif", "über weg.png", "mosaic.tif", "DJI_0042_status.tif", "c/7.tif"]
+    assert part_names(images) == (
+        "DJI_0042-00000.json",
+        "dji_0042-00001.json",
+        "_ber_weg-00002.json",
+        "mosaic-00003.json",
+        "DJI_0042_status-00004.json",
+        "7.json",
+    )
 
 
 def test_cells_of_frames_are_those_of_the_first(made: Made) -> None:
     told = json.loads((made.folder / "_manifest.json").read_text(encoding="utf-8"))["identity"]
     assert told["crs"] == CRS
     for row in (0, 1):
-        with rasterio.open(made.folder / f"frame-{row:05d}.tif") as data:
+        with rasterio.open(made.folder / f"image_{row}.tif") as data:
             size, corner = data.res[0], np.array([data.transform.c, data.transform.f])
             assert told["resolution"] == f"{size!r} x {size!r}"
             assert float(f"{size:.3g}") == size
@@ -154,7 +167,7 @@ def painted(folder: pathlib.Path, names: list[str], whole: Any) -> tuple[np.ndar
 
 def test_the_mosaic_shows_all_frames(made: Made) -> None:
     with rasterio.open(made.folder / "mosaic.vrt") as whole:
-        values, known = painted(made.folder, ["frame-00000.tif", "frame-00001.tif"], whole)
+        values, known = painted(made.folder, ["image_0.tif", "image_1.tif"], whole)
         assert 0.05 < known.mean() < 1.0
         np.testing.assert_array_equal(whole.read(), values)
         for band in (1, 2, 3):
@@ -165,7 +178,7 @@ def test_the_mosaic_shows_all_frames(made: Made) -> None:
 def test_the_catalogue_is_one_of_stac(made: Made) -> None:
     collection = pystac.Collection.from_file(str(made.folder / "collection.json"))
     items = list(collection.get_items())
-    assert [one.id for one in items] == [f"frame-{row:05d}" for row in range(4)]
+    assert [one.id for one in items] == [f"image_{row}" for row in range(4)]
     listed = json.loads((made.folder / "items.json").read_text(encoding="utf-8"))["features"]
     assert listed == [item(made.folder, row) for row in range(4)]
     west, south, east, north = collection.extent.spatial.bboxes[0]
@@ -189,7 +202,7 @@ def test_only_missing_frames_are_computed(made: Made, tmp_path: pathlib.Path) ->
     folder = tmp_path / "copy"
     shutil.copytree(made.folder, folder)
     before = rasters_of(folder)
-    (folder / "frame-00001.tif").unlink()
+    (folder / "image_1.tif").unlink()
     images = shutil.copytree(made.images, tmp_path / "images")
     identity = json.loads((folder / "_manifest.json").read_text(encoding="utf-8"))
     with pytest.raises(ValueError, match=r"other images, resolution"):
@@ -253,13 +266,13 @@ def test_orthophotos_over_files_are_those_over_the_whole(tmp_path: pathlib.Path)
     assert run.counts["hit"] >= 10
     hidden = 0
     for row in range(16):
-        if (tmp_path / "files" / f"frame-{row:05d}.tif").exists():
+        if (tmp_path / "files" / f"image_{row}.tif").exists():
             exposure = observed.at(row)[0].exposure
             path = tmp_path / f"{row}.tif"
             rectify_file(path, images / f"image {row}.tif", exposure.sensor, exposure.motion, whole, cog=True, **how)
             for ending in ("", "_status"):
                 with (
-                    rasterio.open(tmp_path / "files" / f"frame-{row:05d}{ending}.tif") as ours,
+                    rasterio.open(tmp_path / "files" / f"image_{row}{ending}.tif") as ours,
                     rasterio.open(tmp_path / f"{row}{ending}.tif") as theirs,
                 ):
                     assert ours.transform == theirs.transform
@@ -285,7 +298,7 @@ def test_a_missing_tile_of_the_dem_stops_only_its_frames(tmp_path: pathlib.Path)
         rectify_frames(tmp_path / "out", images, observed, files, crs=CRS, resolution=40.0)
     assert 0 < len(told.value.failed) < 6
     listed = json.loads((tmp_path / "out" / "items.json").read_text(encoding="utf-8"))["features"]
-    assert {f"{one['id']}.json" for one in listed} | set(told.value.failed) == {f"frame-{k:05d}.json" for k in range(6)}
+    assert {f"{one['id']}.json" for one in listed} | set(told.value.failed) == {f"image_{k}.json" for k in range(6)}
     kept.rename(paths[-1])
     run = rectify_frames(tmp_path / "out", images, observed, files, crs=CRS, resolution=40.0)
     assert run.computed == len(told.value.failed)

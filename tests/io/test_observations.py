@@ -23,8 +23,9 @@ from jaxgeo.io import (
     read_acquisition,
     read_observations,
 )
-from jaxgeo.io.acquisitions import for_each
+from jaxgeo.io.acquisitions import Unread, for_each
 from jaxgeo.io.located import SAMPLES_OF_MANY, fixes_in_parts
+from jaxgeo.io.observation_reader import reasons_by_count
 from jaxgeo.io.scene import SceneError, read_scene
 from jaxgeo.uncertainty import accuracy
 from jaxgeo.uncertainty.sources import Attitude, GimbalAngles, InteriorOrientation, Position, TerrainHeight
@@ -270,6 +271,19 @@ def test_an_atmosphere_for_all(folder) -> None:
     assert 0.1 < abs(float(straight.slant_range[0] - curved.slant_range[0])) < 100.0
 
 
+def test_reasons_of_many_files_are_told_by_their_number() -> None:
+    """What differs by the name and by numbers is one reason; the most frequent comes first, whatever came first."""
+    zeros = Unread("images/a.jpg", TableError("images/a.jpg: angles all zero."), 0)
+    unnamed = [
+        Unread(f"images/{k}.jpg", TableError(f"images/{k}.jpg: geo.txt has no row {k} of this name"), k)
+        for k in range(1, 34)
+    ]
+    assert reasons_by_count([zeros, *unnamed]) == (
+        "33 of them: images/1.jpg: geo.txt has no row 1 of this name. 1 of them: images/a.jpg: angles all zero."
+    )
+    assert reasons_by_count(unnamed) == "images/1.jpg: geo.txt has no row 1 of this name."
+
+
 @pytest.mark.costly
 @pytest.mark.parametrize(
     "paths, given, words",
@@ -289,7 +303,7 @@ def test_an_atmosphere_for_all(folder) -> None:
         ("flight.klv", {"scene": "scene.toml", **HOW}, r"flight\.klv already has a camera"),
         ("mission.sbet", HOW, r'has no camera; give scene="SCENE\.toml"\.$'),
         (["mission.sbet", "DJI_0042.JPG"], {"scene": "scene.toml", **HOW}, "locate them separately"),
-        (["broken.JPG", "broken2.JPG"], HOW, r"none of 2 files can be read\. First error: broken\.JPG"),
+        (["broken.JPG", "broken2.JPG"], HOW, r"none of 2 files can be read\. 1 of them: broken\.JPG: "),
     ],
 )
 def test_contradictions_are_refused(folder, paths, given: dict, words: str) -> None:

@@ -45,6 +45,15 @@ def test_a_prj_beside_a_table_is_its_crs(table: pathlib.Path, ending: str) -> No
     assert [one for one in found.assumed if ".prj" in one.lower()] == [SAID.replace(".prj", ending)]
 
 
+def test_a_map_without_a_name_is_told_by_its_projection(table: pathlib.Path) -> None:
+    table.with_suffix(".prj").write_text(pyproj.CRS("+proj=tmerc +lon_0=-84 +datum=WGS84").to_wkt("WKT1_ESRI"))
+    (said,) = [one for one in read_orientations(table, height_datum="ellipsoid").assumed if ".prj" in one]
+    assert said == (
+        "Coordinates are in a map without a name (Transverse Mercator, longitude of natural origin -84 deg, "
+        "WGS 84), by opk.prj beside the file."
+    )
+
+
 def test_a_stated_crs_goes_first(table: pathlib.Path) -> None:
     """That of the caller, without a word of the file beside."""
     table.with_suffix(".prj").write_text(pyproj.CRS("EPSG:32617").to_wkt())

@@ -179,6 +179,12 @@ MISTAKES = [
         ["[pose] heading_rad = 1.57", "unknown key", "write heading_deg, in deg"],
     ),
     ("focal_length_mm = 50.0", "focal_length_m = 0.05", ["[camera] focal_length_m = 0.05", "focal_length_mm, in mm"]),
+    (
+        "focal_length_mm = 50.0",
+        "focal_mm = 50.0",
+        ["[camera] focal_mm = 50.0: unknown key; write focal_length_mm, in mm."],
+    ),
+    ("focal_length_mm = 50.0", "focal = 50.0", ["unknown key; write focal_length_mm, in mm; or focal_px, "]),
     ("height_m = 4000.0", "height_ft = 13123.0", ["[pose] height_ft = 13123.0", "write height_m, in m"]),
     ("roll_deg = -3.0", "rol_deg = -3.0", ["[pose] rol_deg", "write roll_deg"]),
     ("inner_deg = -1.0", "inner_deg = -1.0\ncolour = 3", ["[gimbal] colour = 3", "known here: kind, outer_deg"]),

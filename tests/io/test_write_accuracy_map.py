@@ -47,7 +47,7 @@ def test_cells_lie_where_the_map_says(written) -> None:
 
 def test_bands_are_the_map(written) -> None:
     found, bands, profile, descriptions, units, _ = written
-    assert descriptions == ("CE50, m", "LE50, m", "verdict", "status")
+    assert descriptions == ("CE50, m", "LE50, m", "method", "status")
     assert units[:2] == ("m", "m")
     assert np.isnan(profile["nodata"])
     expected = (found.circular, found.linear, found.method, found.status)
@@ -89,7 +89,7 @@ def test_a_cloud_optimised_map_holds_the_same(tmp_path, written) -> None:
 def test_tags_say_what_codes_mean(written) -> None:
     tags = written[-1]
     assert tags["PROBABILITY"] == "0.5"
-    assert tags["VERDICT_CODES"].startswith("-1: no fix | 0: linear propagation | 1: linear propagation over")
+    assert tags["METHOD_CODES"].startswith("-1: no fix | 0: linear propagation | 1: linear propagation over")
     meanings = dict(entry.split(": ", 1) for entry in tags["STATUS_CODES"].split(" | "))
     assert len(meanings) == len(Status)
     assert meanings["12"].startswith("The pixel, or the image of the point, is outside")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pathlib
 import sqlite3
+from xml.etree import ElementTree as ET
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from jaxgeo.coverage._footprint import Footprint
 from jaxgeo.earth import WGS84, TransverseMercator
 from jaxgeo.io import write_footprints
 from jaxgeo.io._outlines import runs
+from tests.io.test_write_kml import document
 
 ALPS = np.array([[47.02, 11.00], [47.03, 11.04], [47.00, 11.05], [46.995, 11.02], [46.99, 11.01]])  # lat, lon in deg
 DATE_LINE = np.array([[-17.0, 179.97], [-17.0, -179.96], [-17.04, -179.95], [-17.05, 179.98]])
@@ -318,3 +320,25 @@ def test_a_failure_keeps_the_file_that_was_there(tmp_path: pathlib.Path, monkeyp
         write_footprints(path, [made(ALPS)])
     assert path.read_text() == "old"
     assert [other.name for other in tmp_path.iterdir()] == ["seen.gpkg"]
+
+
+@pytest.mark.parametrize("suffix", [".kml", ".kmz"])
+def test_kml_has_outlines_and_edges_by_the_names_of_images(tmp_path: pathlib.Path, suffix: str) -> None:
+    """Valid by KML's schema; what is incomplete has no outline, and says so by its name."""
+    path = tmp_path / f"seen{suffix}"
+    seen = [made(ALPS, hidden=(1,)), made(DATE_LINE), made(ALPS, lost={2: Status.rises_away})]
+    write_footprints(path, seen, attributes=[{"name": name} for name in "abc"], edges=True)
+    text = document(path)
+    outlines, edges = ET.fromstring(text).findall("{*}Document/{*}Document")
+    names = [mark.findtext("{*}name") for mark in outlines.findall("{*}Placemark")]
+    assert names == ["a", "b", "c: crosses_horizon"]
+    assert [len(mark.findall(".//{*}Polygon")) for mark in outlines.findall("{*}Placemark")] == [1, 2, 0]
+    assert {mark.findtext("{*}name") for mark in edges.findall("{*}Placemark")} == {
+        "seen edge of a", "hidden edge of a", "seen edge of b", "seen edge of c"
+    }  # fmt: skip
+    plain = tmp_path / "plain.kml"
+    plain.write_bytes(text)
+    assert pytest.importorskip("fastkml.validator").validate(file_to_validate=plain)
+    for more, words in (({"crs": "EPSG:32632"}, "KML has longitudes"), ({"style": True}, "KML has a style of its own")):
+        with pytest.raises(ValueError, match=words):
+            write_footprints(path, seen, **more)

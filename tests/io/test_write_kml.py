@@ -104,6 +104,20 @@ def test_times_are_those_of_placemarks_and_nothing_comes_from_the_net(tmp_path: 
     assert validator.validate(file_to_validate=path)
 
 
+@pytest.mark.parametrize("last, count", [("2024-05-10T10:20:32Z", 1), ("2024-05-10T10:20:31Z", 0), (None, 0)])
+def test_fixes_with_a_time_each_are_joined_by_a_line(tmp_path: pathlib.Path, last: str | None, count: int) -> None:
+    """In order of time, without what has no coordinates; not if two have the same time, or one has none."""
+    times = ["2024-05-10T10:20:33Z", "2024-05-10T10:20:31Z", last]
+    path = tmp_path / "fixes.kml"
+    write_fixes(path, made(), attributes=[{"time_utc": one} for one in times])
+    lines = list(ET.fromstring(path.read_bytes()).iter(f"{{{KML['kml']}}}LineString"))
+    assert len(lines) == count
+    for line in lines:
+        words = (line.findtext("kml:coordinates", "", KML)).split()
+        places = [tuple(map(float, word.split(",")[:2])) for word in words]
+        assert places == [pytest.approx(ALPS[i][1::-1], abs=1e-9) for i in (1, 2, 0)]
+
+
 @pytest.mark.parametrize("suffix", [".kml", ".kmz"])
 def test_gdal_reads_points_areas_and_columns(tmp_path: pathlib.Path, suffix: str) -> None:
     if "LIBKML" not in pyogrio.list_drivers():

@@ -55,7 +55,7 @@ def test_gdal_reads_points_and_times_of_gpx(tmp_path: pathlib.Path, flight: Acqu
 
 
 def test_gdal_reads_fixes_of_gpx(tmp_path: pathlib.Path) -> None:
-    """Those with coordinates, with their times."""
+    """Those with coordinates, with their times, and their radii in words."""
     path = tmp_path / "fixes.gpx"
     lat, lon, height = (
         np.radians([36.3, np.nan, 36.302]),
@@ -66,10 +66,12 @@ def test_gdal_reads_fixes_of_gpx(tmp_path: pathlib.Path) -> None:
     number = np.zeros(3)
     fixes = Fix(Geodetic(lat=lat, lon=lon, height=height), np.zeros((3, 3)), number, number, number, number, status)
     rows = [{"name": name, "time_utc": time} for name, time in zip("abc", TIMES, strict=True)]
-    write_fixes(path, fixes, attributes=rows)
+    write_fixes(path, fixes, attributes=rows, cov_enu=np.stack([np.diag([4.0, 4.0, 1.0])] * 3))
     known, _, shapes, columns = raw.read(path, layer="track_points")
     table = dict(zip(known["fields"], columns, strict=True))
     assert table["name"].tolist() == ["a", "c"]
+    said = [text.split(", SE90")[0] for text in table["desc"]]
+    assert said == ["CE90 4.29 m, LE90 1.64 m"] * 2  # 2 m times 2.146 (Rayleigh), 1 m times 1.645
     np.testing.assert_array_equal(table["time"], np.array([TIMES[0][:-1], TIMES[2][:-1]], "datetime64[ms]"))
     to_sea = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:9707", always_xy=True)
     expected = [to_sea.transform(-84.2, 36.3, 300.0), to_sea.transform(-84.2, 36.302, 310.0)]

@@ -19,13 +19,13 @@ SHEET = Sheet(
 )
 
 
-@pytest.mark.parametrize("width", [56, 70, 90, 150])
+@pytest.mark.parametrize("width", [40, 56, 70, 90, 150])
 def test_numbers_and_remarks_are_never_cut(width: int) -> None:
     stream = io.StringIO()
     Console(file=stream, width=width).print(SHEET.to_rich(width))
     text = stream.getvalue()
     assert "…" not in text
-    for number in ("21", "0.444", "–", "2.734", "1.2346", "0.300"):
+    for number in ("direct", "points", "printed", "ours", "21", "0.444", "–", "2.734", "1.2346", "0.300"):
         assert number in text
     below = text[text.index("Root mean squares.") :]
     assert (REMARK[:20] in below) == (width < 90)

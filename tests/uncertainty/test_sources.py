@@ -24,7 +24,7 @@ NAN = math.nan
 @pytest.mark.parametrize(
     "source, message",
     [
-        (sources.Attitude(jnp.array([0.1, -0.2, 0.3])), "sigma of pitch must not be negative; got"),
+        (sources.Attitude(jnp.deg2rad(jnp.array([0.1, -0.1, 0.3]))), "of pitch must not be negative; got -0.1 deg."),
         (sources.Attitude(jnp.array([0.1, NAN, 0.3])), "must be finite"),
         (sources.Attitude(jnp.array([0.1, math.inf, 0.3])), "must be finite"),
         (sources.Attitude(jnp.array([0.1, 0.2])), "one number for each of heading, pitch, roll"),

@@ -22,7 +22,8 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.sensor import Pose, Shot
 
 CLOCK = re.compile(r"(?:([0-9]{1,3}):)?([0-9]{1,2}):([0-9]{1,2}(?:[.,][0-9]{1,9})?)")
-FORMS = "HH:MM:SS, MM:SS or s after the start of the file (00:01:23.5, 83.5), or a UTC time (2024-05-10T10:20:31Z)"
+OFFSETS = "HH:MM:SS, MM:SS or s after the start of the file (00:01:23.5, 83.5)"
+FORMS = f"{OFFSETS}, or a UTC time (2024-05-10T10:20:31Z)"
 LONGEST = 2.0  # s between two records that are interpolated
 LARGEST_TURN = np.deg2rad(20.0)  # of any angle between them
 SAME = 1e-6  # s: a record of this time is taken as it is
@@ -118,7 +119,7 @@ def _seconds(found: Acquisition, written: str | float, start: float) -> float:
     if moment.tzinfo is None:
         raise TableError(f'{found.path}: times="{text}" has no time zone; write {text}Z if it is UTC.')
     if not found.time_is_utc:
-        raise TableError(f'{found.path}: times="{text}" is in UTC, but the times of the file are not; give {FORMS}.')
+        raise TableError(f'{found.path}: times="{text}" is in UTC, but the times of the file are not; give {OFFSETS}.')
     return moment.timestamp()
 
 

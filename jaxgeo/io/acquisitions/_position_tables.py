@@ -282,7 +282,10 @@ def _check_place(path: Any, lat: np.ndarray, lon: np.ndarray, height: np.ndarray
     wrong = (np.abs(lat) > 90.0) | (np.abs(lon) > 360.0) | (height < low) | (height > high)
     if np.any(wrong):
         k = int(np.argmax(wrong))
-        raise TableError(f"{path}: latitude {lat[k]:g}, longitude {lon[k]:g}, height {height[k]:g} are no position.")
+        hint = " Are latitude and longitude exchanged?" if abs(lon[k]) <= 90.0 < abs(lat[k]) else ""
+        raise TableError(
+            f"{path}: latitude {lat[k]:g}, longitude {lon[k]:g}, height {height[k]:g} are no position.{hint}"
+        )
 
 
 def _is_number(word: str) -> bool:

@@ -48,8 +48,9 @@ from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
-from jaxgeo.io.errors import TableError
+from jaxgeo.io.errors import ImageError, TableError
 from jaxgeo.io.given_camera import cameras_by_name, is_a_name, whole_camera
+from jaxgeo.io.images import opened
 from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes read for detection
@@ -218,6 +219,11 @@ def _of_sbet(path: str | os.PathLike[str], **how: Any) -> Acquisition:
 
 def _of_images(path: str | os.PathLike[str], *, positions: Any = None, crs: Any = None, **how: Any) -> Acquisition:
     """Drone images, optionally with positions from a table: heights are then the table's."""
+    if _lies_in_a_map(path):
+        raise TableError(
+            f"{path}: this raster lies in a map, so it is not as a camera took it; an elevation model is given as one "
+            f"(jaxgeo.io.read_dem)."
+        )
     if positions is None:
         if crs is not None:
             raise TableError(f"{path}: crs= is of a table of positions; give it too, positions=, or leave crs= out.")
@@ -230,6 +236,17 @@ def _of_images(path: str | os.PathLike[str], *, positions: Any = None, crs: Any 
     if table.has_heights:
         raise TableError(f"{path}: the heights are those of {positions}; leave takeoff_height= out.")
     return with_table(read_drone_images(path, **how), table)
+
+
+def _lies_in_a_map(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is a TIFF with a CRS."""
+    if pathlib.Path(path).suffix.lower() not in (".tif", ".tiff") or not os.path.isfile(path):
+        return False
+    try:
+        with opened(os.fspath(path)) as data:
+            return data.crs is not None
+    except ImageError:
+        return False
 
 
 def _of_positions(path: str | os.PathLike[str], **how: Any) -> Acquisition:

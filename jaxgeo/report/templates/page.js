@@ -98,7 +98,7 @@
   // Charts in the colours of the page: those of Python are the light ones.
   const dark = window.matchMedia("screen and (prefers-color-scheme: dark)");
   const INK = "#e8e8e8", MUTED = "#a8a8a8", HAIR = "#3a3f44", SOFT = "#202428", PAPER_COLOUR = "#14171a";
-  const GLYPHS = { "#1a1a1a": INK, "#0072b2": "#6db9ea", "#4a148c": "#c3a0f5" };
+  const GLYPHS = { "#1a1a1a": INK, "#0072b2": "#6db9ea", "#4a148c": "#c3a0f5", "#fefefe": PAPER_COLOUR };
   const coloured = [];  // [model, light, dark]
   function add(model, colours) {
     coloured.push([model, Object.fromEntries(Object.keys(colours).map((name) => [name, model[name]])), colours]);
@@ -109,6 +109,8 @@
       for (const axis of [...chart.below, ...chart.left].filter((one) => "axis_label" in one))
         add(axis, { axis_line_color: MUTED, major_tick_line_color: MUTED, major_label_text_color: INK, axis_label_text_color: INK });
       for (const lines of chart.center.filter((one) => "grid_line_color" in one)) add(lines, { grid_line_color: HAIR });
+      for (const bar of chart.center.filter((one) => "bar_line_color" in one))
+        add(bar, { background_fill_color: "#9aa0a6" });  // the bar itself keeps the colour that it is made with
       if (name === "map") continue;  // the relief is as light as ever
       for (const { glyph } of chart.renderers) {
         const given = ["line_color", "fill_color"].map((key) => [key, glyph[key] && (glyph[key].value || glyph[key])]);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
@@ -118,7 +119,7 @@ class AbstractSource(Record):
         """Raise `ValueError` for a sigma that is negative or not finite, an invalid correlation or distribution, and
         `TypeError` for anything else as a distribution.
         """
-        check_sigma(self.sigma, self.sigma_axes, self.label)
+        check_sigma(self.sigma, self.sigma_axes, self.label, self.unit)
         if self.correlation is not None:
             check_correlation(self.correlation, len(self.axes), self.label)
         if self.distribution is not None:
@@ -172,7 +173,7 @@ def stated(values: Sequence[Axis], options: Mapping[str, Any], *, degrees: bool 
     return {**found, "distribution": shapes}
 
 
-def check_sigma(sigma: Any, axes: tuple[str, ...], label: str) -> None:
+def check_sigma(sigma: Any, axes: tuple[str, ...], label: str, unit: str) -> None:
     """Raise `ValueError` for standard deviations that are negative, not finite, or not one for each axis."""
     if np.shape(sigma) != (len(axes),):
         raise ValueError(
@@ -182,7 +183,9 @@ def check_sigma(sigma: Any, axes: tuple[str, ...], label: str) -> None:
     known = concrete(sigma)
     if known is not None and np.any(known < 0.0):
         axis = int(np.argmax(known < 0.0))
-        raise ValueError(f"{label}: sigma of {axes[axis]} must not be negative; got {known[axis]!r}.")
+        value = float(known[axis])
+        shown = f"{math.degrees(value):.6g} deg" if unit == "rad" else f"{value:.6g} {unit}"
+        raise ValueError(f"{label}: sigma of {axes[axis]} must not be negative; got {shown}.")
 
 
 def check_distribution(source: AbstractSource) -> None:
