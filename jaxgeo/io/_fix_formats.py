@@ -185,7 +185,7 @@ def _kml(table: FixTable) -> bytes:
 
 def _path(table: FixTable) -> dict[str, list[Placemark]]:
     """A folder with the line through fixes that have a time of its own each, in order of time; none for others."""
-    known = np.isfinite(table.places).all(axis=1)
+    known = [all(one) for one in np.isfinite(table.places).tolist()]
     timed = [(when(row), *place) for row, place in zip(table.rows, table.places.tolist(), strict=True)]
     timed = [one for one, is_known in zip(timed, known, strict=True) if is_known]
     times = {time for time, *_ in timed}
