@@ -141,13 +141,13 @@ def test_figures_are_those_of_the_method(monkeypatch: pytest.MonkeyPatch) -> Non
     def assessed() -> Accuracy:
         return over_level_ground([0.01, 0.02, 0.03, 0.01], [100.0] * 4, 0.1)
 
-    level, examined = assessed(), many_fixes._examine_block
+    level, examined = assessed(), many_fixes.examine_block
 
     def with_a_steep_facet(*given):
         found = examined(*given)
         return found._replace(cov_enu=found.cov_enu.at[:, 0].multiply(4.0))
 
-    monkeypatch.setattr(many_fixes, "_examine_block", with_a_steep_facet)
+    monkeypatch.setattr(many_fixes, "examine_block", with_a_steep_facet)
     found = assessed()
     assert (np.asarray(level.method) == Method.facet).all()
     assert (np.asarray(found.method) == Method.footprint).all()
