@@ -72,11 +72,18 @@ class Programs:
 
     def call(self, folder: pathlib.Path, args: tuple[Any, ...], options: dict[str, Any]) -> Callable[[], Any] | None:
         """The call by a program that is read from `folder`, or written there; None if no program can be kept."""
-        program = self.find(folder, args, options)
-        return None if program is None else lambda: program(self._arrays_of((args, options)))
+        found = self._with_arrays(folder, args, options)
+        return None if found is None else lambda: found[0](found[1])
 
     def find(self, folder: pathlib.Path, args: tuple[Any, ...], options: dict[str, Any]) -> Program | None:
-        """The program of these arguments and of all of their kind; None if none can be kept.
+        """The program of these arguments and of all of their kind; None if none can be kept."""
+        found = self._with_arrays(folder, args, options)
+        return None if found is None else found[0]
+
+    def _with_arrays(
+        self, folder: pathlib.Path, args: tuple[Any, ...], options: dict[str, Any]
+    ) -> tuple[Program, list[Any]] | None:
+        """The program and its arrays; None if none can be kept.
 
         So it is for arguments with a class or function that is not of a known package, on other backends than the CPU,
         and for arrays on several devices.
@@ -97,10 +104,8 @@ class Programs:
         if is_new:
             name = self._name(jax.tree.unflatten(structure, kinds))
             self._programs[key] = None if name is None else self._found(folder / name, structure, kinds, arrays)
-        return self._programs[key]
-
-    def _arrays_of(self, given: Any) -> list[Any]:
-        return [leaf for leaf in jax.tree.leaves(given) if self._is_array(leaf)]
+        program = self._programs[key]
+        return None if program is None else (program, arrays)
 
     def _found(self, path: pathlib.Path, structure: Any, kinds: list[Any], arrays: list[Any]) -> Program:
         program = _read(path)

@@ -179,16 +179,16 @@ def test_a_report_says_it_above_the_result(image: pathlib.Path, tmp_path: pathli
             24.5,
             120.8,
             "EPSG:32616",
-            "149 deg from the area of use of --crs EPSG:32616; the UTM zone",
+            "149 deg from the area of use of --crs EPSG:32616; the usual CRS",
         ),
         (
             -36.0,
             -84.1,
             "EPSG:32616",
-            "the UTM zone here is EPSG:32716.",
+            "the usual CRS here is EPSG:32716.",
         ),
         (-17.0, -179.5, "EPSG:32760", ""),  # in the next zone, across the date line
-        (-17.0, 100.0, "EPSG:3460", "the UTM zone here is EPSG:32747."),  # Fiji, whose area crosses the date line
+        (-17.0, 100.0, "EPSG:3460", "the usual CRS here is EPSG:32747."),  # Fiji, whose area crosses the date line
         (-17.0, -179.5, "EPSG:3460", ""),
         (24.5, 120.8, "EPSG:4326", ""),
         (24.5, 120.8, "nonsense", ""),
@@ -210,5 +210,5 @@ def test_the_utm_zone_that_is_named_is_not_doubtful(command: str, image: pathlib
     more = ["--no-accuracy"] if command == "locate" else []
     line = [command, str(image), *GROUND, *more, "-o", str(tmp_path / "out.geojson"), "--crs"]
     told = CliRunner().invoke(app, [*line, "EPSG:32651"]).stderr
-    (zone,) = re.findall(r"the UTM zone here is (EPSG:[0-9]+)", told)
-    assert "UTM zone here" not in CliRunner().invoke(app, [*line, zone]).stderr
+    (zone,) = re.findall(r"the usual CRS here is (EPSG:[0-9]+)", told)
+    assert "usual CRS here" not in CliRunner().invoke(app, [*line, zone]).stderr

@@ -14,19 +14,20 @@ FAR = 6.0  # deg outside the area of use: the width of a UTM zone
 
 
 def note_far_crs(crs: str | None, of: Any) -> None:
-    """Print a note if a shot, or the first known of n positions, is far from the area of use of a CRS, with the UTM
-    zone there. An image on a trajectory is left out.
+    """Print a note if a shot, or the first known of n positions, is far from the area of use of a CRS, with the usual
+    one there. An image on a trajectory is left out.
     """
-    from jaxgeo.io._map_crs import degrees_outside
+    from jaxgeo.io._map_crs import code_of, degrees_outside
+    from jaxgeo.io.map_raster import usual_crs
 
     position = of.pose.position if isinstance(of, Shot) else of
     if crs is None or not isinstance(position, Geodetic):
         return
     places = np.rad2deg([np.ravel(np.asarray(angle, np.float64)) for angle in (position.lat, position.lon)])
     for lat, lon in places[:, np.isfinite(places).all(axis=0)].T[:1]:
-        apart, zone = degrees_outside(crs, lat, lon), int((lon + 180.0) % 360.0 // 6.0) + 1
+        apart = degrees_outside(crs, lat, lon)
         if apart > FAR:
             print_note(
-                f"check: The images are {apart:.0f} deg from the area of use of --crs {crs}; the UTM zone here is "
-                f"EPSG:{(32600 if lat >= 0.0 else 32700) + zone}."
+                f"check: The images are {apart:.0f} deg from the area of use of --crs {crs}; the usual CRS here is "
+                f"{code_of(usual_crs(lon, lat))}."
             )

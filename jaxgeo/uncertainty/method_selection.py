@@ -46,7 +46,7 @@ MARGIN, MARGIN_OF_SPREAD, SPREAD = 0.014, 0.45, 0.1
 MARGIN_OF_JUMPS, FEWEST_JUMPS = 0.08, 1e-6  # where lines of sight jump or fail with a probability
 GRAZING = 0.01  # sine of the angle between ray and surface
 PLANAR = 0.01  # of the larger of two figures: smaller differences by two slopes are those of planar ground
-CLOSE = 0.05  # largest difference of circular errors, of their size, that is told as one number
+CLOSE = 0.05  # largest difference of circular errors, as a share, that the reason gives as one number
 SAME = 5e-4  # difference of two figures, of their size, that is not worth a word
 
 

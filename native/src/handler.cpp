@@ -308,33 +308,30 @@ ffi::Error first_hits(ffi::ThreadPool pool, ffi::RemainingArgs args, Integers ne
   return ffi::Error::Success();
 }
 
+// What both handlers take and return: news, begin, root, a later place below the surface, row and column.
+auto events_bound() {
+  using Doubles = ffi::Buffer<ffi::F64>;
+  using Integers = ffi::Buffer<ffi::S32>;
+  return ffi::Ffi::Bind()
+      .Ctx<ffi::ThreadPool>()
+      .RemainingArgs()
+      .Ret<Integers>()
+      .Ret<Doubles>()
+      .Ret<Doubles>()
+      .Ret<Doubles>()
+      .Ret<Integers>()
+      .Ret<Integers>();
+}
+
 }  // namespace
 }  // namespace jaxgeo
 
 #pragma GCC visibility push(default)
 XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxgeo_first_events, jaxgeo::first_events,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .RemainingArgs()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
-                                  .Attr<int64_t>("constants")
-                                  .Attr<int64_t>("lines"));
+                              jaxgeo::events_bound().Attr<int64_t>("constants").Attr<int64_t>("lines"));
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxgeo_first_hits, jaxgeo::first_hits,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .RemainingArgs()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
-                                  .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
+                              jaxgeo::events_bound()
                                   .Ret<xla::ffi::Buffer<xla::ffi::S32>>()
                                   .Ret<xla::ffi::Buffer<xla::ffi::PRED>>()
                                   .Attr<int64_t>("constants")
