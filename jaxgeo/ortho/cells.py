@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int8
 
 from jaxgeo._accelerator import by_device
-from jaxgeo._compile import long_run_filter_jit
+from jaxgeo._compile import batch_filter_jit, long_run_filter_jit
 from jaxgeo._intersection import sight_along, visibility
 from jaxgeo._numerics import dot, safe_sqrt
 from jaxgeo._record import Record
@@ -99,7 +99,7 @@ def may_be_hidden(cells: Cells, least_sine: Float32[Array, "rows cols"]) -> Bool
     return (cells.status == Status.hit) & ~(cells.sine > least)
 
 
-@long_run_filter_jit
+@batch_filter_jit
 def hidden(view: View, rowcol: Float[Array, "n 2"], tolerance: Scalar) -> Int8[Array, " n"]:
     """Status of cells on known ground at (row, col) of the grid, by first-hit search along the line of sight: `hit`,
     `hidden_by_terrain`, or why it is unknown."""

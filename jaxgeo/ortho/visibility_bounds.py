@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32, Int
 
-from jaxgeo._compile import sized_filter_jit
+from jaxgeo._compile import long_run_filter_jit, sized_filter_jit
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84
@@ -240,7 +240,7 @@ def _stretches(strides: list[tuple[int, int, int]]) -> np.ndarray:
     return np.array(rows)
 
 
-@sized_filter_jit
+@long_run_filter_jit
 def _with_block(
     least_sine: Float32[Array, "rows cols"],
     ground: Ground,

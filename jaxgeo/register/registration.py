@@ -309,7 +309,7 @@ def _beyond(found: Update, limits: Limits) -> bool:
 
 
 def _moved(given: _Given, error: np.ndarray) -> ModelInputs:
-    return given.model.moved(given.inputs, jnp.asarray(error)) if np.any(error != 0.0) else given.inputs
+    return given.model.moved(given.inputs, jnp.asarray(error))
 
 
 def _inputs_of(found: Update, inputs: ModelInputs) -> ModelInputs:
