@@ -108,6 +108,7 @@ def test_a_ground_point_is_where_collinearity_puts_it(tmp_path: pathlib.Path, la
     assert any("Focal lengths in the file are not read" in one for one in found.assumed) == ("focal" in layout)
 
 
+@pytest.mark.costly
 def test_the_ground_point_is_found_on_the_command_line(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "itera.dat"
     path.write_text(bingo(), encoding="utf-8")
