@@ -268,6 +268,19 @@ def test_detections_are_points_and_polygons_on_the_ground(here: pathlib.Path) ->
 
 
 @pytest.mark.costly
+def test_classes_of_yolo_have_their_names(here: pathlib.Path) -> None:
+    """Those of the data set, for labels that a detector wrote elsewhere."""
+    labels = pathlib.Path("runs/predict/labels")
+    labels.mkdir(parents=True)
+    (labels / "a.txt").write_text("2 0.5 0.5 0.02 0.02 0.81\n0 0.4 0.5 0.02 0.02 0.77\n")
+    pathlib.Path("data.yaml").write_text("path: .\ntrain: images\nval: images\nnames:\n  0: hut\n  2: car\n")
+    line = ["locate", "strip", *ELLIPSOID, "--ground", "300", "--detections", labels, "--no-accuracy"]
+    plain, named = done(*line), done(*line, "--class-names", "data.yaml")
+    assert [one["label"] for one in plain["fixes"]] == ["2", "0"]
+    assert [one["label"] for one in named["fixes"]] == ["car", "hut"]
+
+
+@pytest.mark.costly
 @pytest.mark.parametrize("ending", [".csv", ".gpkg", ".kml", ".parquet"])
 def test_outlines_of_detections_are_in_every_format(here: pathlib.Path, ending: str) -> None:
     pathlib.Path("found.csv").write_text(DETECTED)
@@ -303,6 +316,11 @@ def test_outlines_of_detections_are_in_every_format(here: pathlib.Path, ending: 
         (["DJI_0042.JPG", "--detections", "f.csv", "--anchor", "top"], ["--anchor top: expected centre or bottom"]),
         (["DJI_0042.JPG", "--detections", "f.csv", "--pixel-origin", "x"], ["--pixel-origin x: expected centre"]),
         (["DJI_0042.JPG", "--detections", "f.csv", "--shard", "1/2"], ["--shard and --detections do not go together"]),
+        (["DJI_0042.JPG", "--class-names", "data.yaml"], ["--class-names data.yaml goes with --detections FILE"]),
+        (
+            ["DJI_0042.JPG", "--detections", "f.csv", "--class-names", "data.yaml"],
+            ["--class-names data.yaml goes with a folder of YOLO files, but --detections f.csv is a file"],
+        ),
         (["--scene", "scene.toml", "--detections", "f.csv"], ["--detections f.csv needs FILEs of images"]),
         (["DJI_0042.JPG", "--detections", "f.csv"], ["they name x.jpg; the images are DJI_0042.JPG"]),
         (["DJI_0042.JPG", "--detections", "none.csv"], ["none.csv"]),

@@ -231,7 +231,9 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--positions p --time 1",
     "dem --geoid EPSG:3855 --clear-cache",
     "locate images --detections found.csv --pixel-origin corner --anchor bottom",
+    "locate images --detections labels --class-names data.yaml",
     "report images --detections found.csv --pixel-origin corner --anchor bottom -o out.html",
+    "report images --detections labels --class-names data.yaml -o out.html",
     f"view {SCENE} --shots shots.csv --shard 1/1 --dem-datum EPSG:5773 --attitude-sigma 0.1 --dem-correlation 400 "
     f"{READING}",
     "view images --pixel 10,20 --ground 300 --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
@@ -239,6 +241,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--debug",
     f"view FILE {FILE} --camera-datum ellipsoid",
     "view images --detections found.csv --pixel-origin corner --anchor bottom",
+    "view images --detections labels --class-names data.yaml",
     "inspect video.ts --stream 1 --time 00:00:01",
     "inspect flight.klv -o track.gpx",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",

@@ -47,6 +47,11 @@ DJI = {
 }
 TABLE = "image,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg\na,43.7,4.6,1800.0,350.0,30.0,-1.5\n"
 OPK = "'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa'\n'a' 292710.2 2731048.8 186.4 28.8 0.9 1.8\n"
+PATB = (
+    "             101                    751000.00000   4020000.00000       900.50000\n"
+    "  0.000000000000 -1.000000000000  0.000000000000  1.000000000000  0.000000000000\n"
+    "  0.000000000000  0.000000000000  0.000000000000  1.000000000000\n"
+)
 CAMERA = {"projection_type": "perspective", "width": 800, "height": 600, "focal": 0.9}
 RECONSTRUCTION = [
     {
@@ -109,6 +114,16 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
         "table of orientations",
         {"height_datum": "ellipsoid", "crs": "EPSG:4326"},
     ),
+    "block.ori": (
+        of_text(PATB),
+        "table of orientations",
+        {"height_datum": "ellipsoid", "crs": "EPSG:32616"},
+    ),
+    "itera.dat": (
+        of_text("ORIA 101 751000.0 4020000.0 900.5 -1.333 0.556 99.2 1\n"),
+        "table of orientations",
+        {"height_datum": "ellipsoid", "crs": "EPSG:32616"},
+    ),
     "r.json": (of_text(json.dumps(RECONSTRUCTION)), "reconstruction of OpenSfM", {"height_datum": 19.6}),
 }
 OPTIONS = {"crs": "--source-crs", "height_datum": "--camera-datum"}
@@ -164,6 +179,8 @@ CAMERA_GIVEN = {  # have none
         "litchi.csv",
         "reader.csv",
         "micmac.txt",
+        "block.ori",
+        "itera.dat",
         "flight.bin",
         "flight.ulg",
     ),

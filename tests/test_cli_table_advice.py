@@ -56,6 +56,13 @@ FILES: dict[str, tuple[str, list[list[str]]]] = {
     "micmac.txt": (
         "#F=N Y X Z K W P\na.JPG 36.3 -84.2 900.0 30 -20 0\n", [["--source-crs EPSG:4326"], DATUMS, LENSES],
     ),
+    "block.ori": (
+        "             101                    751000.12000   4020000.34000       900.50000\n"
+        "  0.000000000000 -1.000000000000  0.000000000000  1.000000000000  0.000000000000\n"
+        "  0.000000000000  0.000000000000  0.000000000000  1.000000000000\n",
+        [[UTM], DATUMS, LENSES],
+    ),
+    "itera.dat": (f"ORIA a {PLACE} -1.333 0.556 99.2 1\n", [[UTM], DATUMS, LENSES]),
     "earth.csv": (
         "image;lat;lon;alt;yaw;pitch;roll\na;36,3;-84,2;900,0;30;20;0\n", [DATUMS, [LENS]],
     ),

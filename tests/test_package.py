@@ -57,6 +57,7 @@ OF_PACKAGE = (
     "stac",
     "video",
     "xarray",
+    "yolo",
 )  # which the package imports
 
 

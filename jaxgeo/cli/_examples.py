@@ -14,6 +14,8 @@ EXAMPLES = {
         "jaxgeo locate DJI_0042.JPG --camera-datum ellipsoid --dem copernicus",
         "jaxgeo locate flight.klv --ground reported -o fixes.kml",
         f"jaxgeo locate {SCENE} --shots shots.csv -o fixes.csv",
+        "jaxgeo locate images --camera-datum ellipsoid --dem dem.tif --detections labels --class-names data.yaml "
+        "-o found.geojson",
     ),
     "report": (
         f"jaxgeo report {SCENE} --pixel 1200,2400 -o report.html",

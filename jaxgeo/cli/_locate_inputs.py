@@ -164,7 +164,9 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
     given = options.of_images
     detections = None
     if given.detections is not None:
-        detections = read_detections(given.detections, pixel_origin=given.pixel_origin or "centre")
+        detections = read_detections(
+            given.detections, pixel_origin=given.pixel_origin or "centre", class_names=given.class_names
+        )
     form = "COLUMN,ROW, two numbers, e.g. --pixel 100,200"
     with reading_files(options.files or [pathlib.Path(f"{given.scene}")]) as progress:
         found = read_observations(

@@ -54,6 +54,15 @@ class ObservationOptions(OptionGroup):
             help="Pixel (0, 0) of --detections in CSV and GeoJSON: the centre (default) or corner of the first.",
         ),
     ] = None
+    class_names: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--class-names",
+            metavar="FILE",
+            help="YOLO: names of the classes of --detections, a data.yaml or a text with a name a line (default: "
+            "classes.txt or data.yaml beside them).",
+        ),
+    ] = None
     anchor: Annotated[
         str | None,
         typer.Option(
@@ -170,6 +179,7 @@ class LocateOptions:
         given, ground = self.of_images, self.ground
         paths = {"file": self.files[0] if len(self.files) == 1 else None, "scene": given.scene, "shots": given.shots}
         paths |= {"detections": given.detections, "anchor": given.anchor, "pixel_origin": given.pixel_origin}
+        paths |= {"class_names": given.class_names}
         found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
         if len(self.files) > 1:
             found["files"] = [str(path) for path in self.files]
@@ -236,7 +246,8 @@ class LocateOptions:
     def _check_detections(self) -> None:
         given = self.of_images
         if given.detections is None:
-            for name, value in (("pixel-origin", given.pixel_origin), ("anchor", given.anchor)):
+            options = {"pixel-origin": given.pixel_origin, "class-names": given.class_names, "anchor": given.anchor}
+            for name, value in options.items():
                 if value is not None:
                     raise UserError(f"--{name} {value} goes with --detections FILE.")
             return
@@ -248,6 +259,11 @@ class LocateOptions:
             raise UserError("--shard and --detections do not go together; name the images of each job.")
         if given.pixel_origin not in (None, "centre", "corner"):
             raise UserError(f"--pixel-origin {given.pixel_origin}: expected centre or corner.")
+        if given.class_names is not None and given.detections.is_file():
+            raise UserError(
+                f"--class-names {given.class_names} goes with a folder of YOLO files, but --detections "
+                f"{given.detections} is a file."
+            )
         if given.anchor not in (None, "centre", "bottom"):
             raise UserError(f"--anchor {given.anchor}: expected centre or bottom.")
 

@@ -22,10 +22,11 @@ SHOWN = 2  # aliases shown in a message
 
 @dataclass(frozen=True)
 class Columns:
-    """A table, and the file's column names by our names."""
+    """A table, and the file's column names by our names; `notes` are sentences on the layout of its file."""
 
     table: CsvTable
     called: dict[str, str]
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.table)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 import pyproj
 
 from jaxgeo._text_numbers import number_in
-from jaxgeo.io._columns import Columns, read_columns
+from jaxgeo.io._columns import OUR_UNITS, Columns, read_columns
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
+from jaxgeo.io._triangulation import read_triangulation
 from jaxgeo.io.errors import TableError
 
 # Column aliases. IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words, Pix4D imageName,
@@ -36,11 +38,26 @@ ALIASES = {
     "roll_deg": ("roll",),
 }
 WEAK = {"image": ("name", "label")}  # used if the table has no better column
-GON = 0.9  # deg
-# Angle columns in gon, as alternatives to deg: our name in deg, and the aliases in gon.
-IN_GON = {
-    f"{angle}_deg": (f"{angle}_gon", f"{angle}[gon]", f"{angle} [gon]", f"{angle}(gon)", f"{angle} (gon)")
-    for angle in ("omega", "phi", "kappa")
+UNITS = {"gon": 0.9, "rad": float(np.rad2deg(1.0))}  # of angles other than degrees, in deg
+ANGLES = {  # our names in deg: the words that columns in other units begin with
+    "omega_deg": ("omega",),
+    "phi_deg": ("phi",),
+    "kappa_deg": ("kappa",),
+    "heading_deg": ("heading", "yaw"),
+    "pitch_deg": ("pitch",),
+    "roll_deg": ("roll",),
+}
+# Angle columns in other units, by unit and our name in deg: our name in that unit, and its aliases.
+IN_UNIT = {
+    unit: {
+        name: tuple(
+            f"{word}{ending}"
+            for word in words
+            for ending in (f"_{unit}", f"[{unit}]", f" [{unit}]", f"({unit})", f" ({unit})")
+        )
+        for name, words in ANGLES.items()
+    }
+    for unit in UNITS
 }
 MAP_COLUMNS: dict[str, Limits] = {
     "x_m": (-1e8, 1e8, "m"),
@@ -62,16 +79,28 @@ SIGMA_COLUMNS: dict[str, Limits] = {f"sigma_{axis}_m": (1e-12, 1e6, "m") for axi
 TIME: Limits = (-1e11, 1e11, "s")
 KNOWN = frozenset(
     {other.lower() for names in (ALIASES, WEAK) for name, others in names.items() for other in (name, *others)}
-    | {other for _, others in IN_GON.items() for other in others}
+    | {other for columns in IN_UNIT.values() for others in columns.values() for other in others}
 )
 DATUM = re.compile(r"ellipsoid|EPSG:\d+")  # stated in a table; not a file, which it could name anywhere
 METASHAPE_CRS = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 
 
-def read_orientation_columns(path: object, *, what: str = "table of orientations") -> Columns:
-    """The columns of a table of orientations, or of positions alone, by our names; z and height are interchangeable."""
-    in_gon = {gon: tuple(others) for gon, *others in IN_GON.values()}
-    columns = read_columns(path, what, ALIASES | in_gon | dict.fromkeys(SIGMA_COLUMNS, ()), weak=WEAK)  # type: ignore[arg-type]
+def meanings(words: Collection[str]) -> set[str]:
+    """Our names, angles in deg, of the columns of a header in lower case."""
+    bare = {*words, *(OUR_UNITS.sub("", word) for word in words)}
+    meant = {name for name, others in ALIASES.items() if {name, *others} & bare}
+    return meant | {name for each in IN_UNIT.values() for name, others in each.items() if {*others} & bare}
+
+
+def read_orientation_columns(path: str | os.PathLike[str], *, what: str = "table of orientations") -> Columns:
+    """The columns of a table of orientations, or of positions alone, by our names; z and height are interchangeable.
+
+    Orientations of PAT-B and BINGO become such a table, of omega, phi and kappa in a map.
+    """
+    columns = read_triangulation(path, what)
+    if columns is None:
+        in_unit = {name: tuple(others) for each in IN_UNIT.values() for name, *others in each.values()}
+        columns = read_columns(path, what, ALIASES | in_unit | dict.fromkeys(SIGMA_COLUMNS, ()), weak=WEAK)
     for one, other in (("z_m", "height_m"), ("height_m", "z_m")):
         if one in columns and other not in columns:
             columns.called[other] = columns.called[one]
@@ -123,23 +152,38 @@ def stated_datum(path: object, cells: Iterable[str], given: str | float | None) 
 
 
 def angle_columns(columns: Columns, *, first: str) -> dict[str, Limits]:
-    """The columns of a table's angles: omega, phi, kappa ("opk") or heading, pitch, roll ("hpr")."""
+    """The columns of a table's angles: omega, phi, kappa ("opk") or heading, pitch, roll ("hpr").
+
+    Their names are in the unit that the columns are named in; `in_degrees` converts. Raises `TableError` for columns in
+    several units.
+    """
     kinds = {"opk": OPK_COLUMNS, "hpr": HPR_COLUMNS}
     order = [first, *(kind for kind in kinds if kind != first)]
-    gon = [name for name, *_ in IN_GON.values() if name in columns]
-    count = {kind: sum(name in columns for name in kinds[kind]) for kind in kinds}
-    count["opk"] = max(count["opk"], len(gon))
+    each = {kind: _by_unit(columns, kinds[kind]) for kind in kinds}
+    count = {kind: max(map(len, each[kind].values())) for kind in kinds}
     kind = next((kind for kind in order if count[kind] == 3), max(order, key=lambda kind: count[kind]))
-    return _opk_units(columns, gon) if kind == "opk" else HPR_COLUMNS
-
-
-def _opk_units(columns: Columns, in_gon: list[str]) -> dict[str, Limits]:
-    """Omega, phi and kappa, in gon if the columns are named so."""
-    in_deg = [name for name in IN_GON if name in columns]
-    if not in_gon:
-        return OPK_COLUMNS
-    if in_deg:
-        both = f"{columns.called[in_gon[0]]} and {columns.called[in_deg[0]]}"
+    there = {unit: names for unit, names in each[kind].items() if names}
+    if len(there) > 1:
+        both = " and ".join(columns.called[names[0]] for names in reversed(there.values()))
         raise TableError(f"{columns.table.path}: columns {both} are there; give all three angles in one unit.")
-    low, high, _ = OPK_COLUMNS["omega_deg"]
-    return {gon: (low / GON, high / GON, "gon") for gon, *_ in IN_GON.values()}
+    unit = next(iter(there), "deg")
+    if unit == "deg":
+        return kinds[kind]
+    return {
+        IN_UNIT[unit][name][0]: (low / UNITS[unit], high / UNITS[unit], unit)
+        for name, (low, high, _) in kinds[kind].items()
+    }
+
+
+def in_degrees(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns by our names, with angles of other units in deg under their names in deg."""
+    found = dict(numbers)
+    for unit, names in IN_UNIT.items():
+        found |= {name: UNITS[unit] * numbers[other] for name, (other, *_) in names.items() if other in numbers}
+    return found
+
+
+def _by_unit(columns: Columns, names: Iterable[str]) -> dict[str, list[str]]:
+    """The columns of angles that are there, by their unit."""
+    in_unit = {unit: [others[name][0] for name in names] for unit, others in IN_UNIT.items()}
+    return {unit: [name for name in each if name in columns] for unit, each in {"deg": [*names], **in_unit}.items()}

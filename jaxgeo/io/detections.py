@@ -6,8 +6,9 @@ them.
 - COCO (Lin et al. 2014, "Microsoft COCO: common objects in context"): `images`, `annotations` with `bbox` (left, top,
   width, height) or polygons as `segmentation`, `categories`.
 - YOLO: a folder with a file NAME.txt for each image, rows of `class x y width height [confidence] [track]` or
-  `class x1 y1 x2 y2 x3 y3 x4 y4 ...`, as shares of width and height of the image; names of classes in classes.txt. A
-  row of seven numbers may be a box or a triangle, and is refused if the last is a whole number. Not key points.
+  `class x1 y1 x2 y2 x3 y3 x4 y4 ...`, as shares of width and height of the image; names of classes in classes.txt, or
+  in the data.yaml of the data set in this folder or up to two above. A row of seven numbers may be a box or a triangle,
+  and is refused if the last is a whole number. Not key points.
 
 Pixel (0, 0) is the centre of the first pixel in CSV and GeoJSON, unless its corner is asked for. In COCO and YOLO it is
 always the outer corner.
@@ -25,6 +26,8 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._text_numbers import numbers_or_texts
+from jaxgeo.io._class_names import LIST
+from jaxgeo.io._class_names import class_names as named
 from jaxgeo.io._csv import Limits, check_not_shares, read_csv
 from jaxgeo.io._json import read_json
 from jaxgeo.io._text import read_text
@@ -34,7 +37,6 @@ ORIGINS = {"centre": 0.0, "corner": 0.5}  # pixels from the first pixel's centre
 PIXELS: Limits = (-1e6, 1e6, "pixels")
 BOX = ("u_min", "v_min", "u_max", "v_max")
 SAME_SHAPE = 0.01  # relative difference of the ratios of sides, from rounding when an image is resized
-CLASSES = "classes.txt"
 HINTS = {"image": "Each row names its image, and has u, v or u_min, v_min, u_max, v_max, in pixels."}
 IMAGE = ("image", "file_name", "filename")  # properties that name the image
 
@@ -95,19 +97,30 @@ class Detection:
         return vertices.mean(axis=0)
 
 
-def read_detections(path: str | os.PathLike[str], *, pixel_origin: str = "centre") -> list[Detection]:
+def read_detections(
+    path: str | os.PathLike[str],
+    *,
+    pixel_origin: str = "centre",
+    class_names: str | os.PathLike[str] | None = None,
+) -> list[Detection]:
     """Read detections from a CSV, GeoJSON or COCO file, or a folder of YOLO files; see the formats above.
 
-    `pixel_origin` is where (0, 0) of CSV and GeoJSON lies: at the "centre" of the first pixel or its outer "corner".
+    - `pixel_origin` is where (0, 0) of CSV and GeoJSON lies: at the "centre" of the first pixel or its outer "corner".
+    - `class_names` is a file with the names of YOLO's classes, in place of those beside the detections: `data.yaml` as
+      Ultralytics writes it (key `names`; needs PyYAML), or a text with a name a line. Classes without a name keep
+      their number.
+
     Raises `TableError` (row or number of the detection named) for a file in another form, without detections, and for
     values that are missing, not finite or no polygons, or in CSV, GeoJSON and COCO shares of the image;
-    `ValueError` for another origin; `FileNotFoundError`.
+    `ValueError` for another origin; `FileNotFoundError`; `ImportError` for YAML without PyYAML.
     """
     if pixel_origin not in ORIGINS:
         raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
     source, back = pathlib.Path(path), ORIGINS[pixel_origin]
     if source.is_dir():
-        found = _yolo(source)
+        found = _yolo(source, named(source, class_names))
+    elif class_names is not None:
+        raise TableError(f"{source}: class_names= goes with a folder of YOLO files; leave it out.")
     elif source.suffix.lower() in (".json", ".geojson"):
         content = read_json(source, "set of detections")
         is_collection = isinstance(content, dict) and content.get("type") == "FeatureCollection"
@@ -241,11 +254,8 @@ def _cut(vertices: np.ndarray, kind: str, width: int, height: int) -> np.ndarray
     return np.asarray(max(parts, key=shapely.area).exterior.coords)[:-1, :2] if parts else vertices
 
 
-def _yolo(folder: pathlib.Path) -> list[Detection]:
-    labels = []
-    if (folder / CLASSES).is_file():
-        labels = read_text(folder / CLASSES, "list of classes").split("\n")
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".txt" and path.name != CLASSES)
+def _yolo(folder: pathlib.Path, labels: Mapping[int, str]) -> list[Detection]:
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".txt" and path.name != LIST)
     if not files:
         raise TableError(f"{folder}: no file NAME.txt of YOLO detections in it.")
     found = []
@@ -258,8 +268,8 @@ def _yolo(folder: pathlib.Path) -> list[Detection]:
             where = f"{path}, line {number}"
             values = _numbers(where, line.split(), None, "class x y width height, or class x1 y1 x2 y2 x3 y3 ...")
             kind, values = values[0], values[1:]
-            label = labels[int(kind)] if kind == int(kind) and 0 <= kind < len(labels) else f"{kind:g}"
-            rest: dict[str, Any] = {"label": label.strip(), "score": None}
+            label = labels.get(int(kind), "") if kind == int(kind) else ""
+            rest: dict[str, Any] = {"label": label or f"{kind:g}", "score": None}
             if len(values) == 6 and values[5] == int(values[5]):
                 raise TableError(
                     f"{where}: 7 numbers, which may be a box with confidence and track number, or a triangle; leave "

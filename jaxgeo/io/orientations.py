@@ -14,19 +14,19 @@ import pyproj
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._angle_doubts import angle_doubts
 from jaxgeo.io._columns import Columns, refuse_doubles, refuse_nowhere
 from jaxgeo.io._csv import Limits
 from jaxgeo.io._map_grid import MapGrid, metric_map, understood_crs
 from jaxgeo.io._orientation_columns import (
     ALIASES,
     EARTH_COLUMNS,
-    GON,
-    IN_GON,
     MAP_COLUMNS,
     SIGMA_COLUMNS,
     TIME,
     angle_columns,
     datum_of,
+    in_degrees,
     read_orientation_columns,
     stated_crs,
 )
@@ -120,10 +120,13 @@ def read_orientations(
     `kappa` or `k` (`odm_xyz_opk.csv`, and the OPK files of IGN, whose angles are the same: their world to camera,
     Rx(pi) times the extrinsic x-y-z rotation by (-omega, -phi, -kappa), is the inverse of the above); `latitude`,
     `longitude`, `altitude`, `yaw`, `pitch`, `roll`; angles in gon under `omega_gon`, `phi_gon` and `kappa_gon` (or
-    `omega[gon]` and so on), all three or none. Image names are kept as written.
+    `omega[gon]` and so on), in rad under `omega_rad`, and heading, pitch and roll likewise, all three or none. Image
+    names are kept as written.
     Exports of other programs are read directly: Pix4D's external camera parameters, Metashape's cameras ("Omega Phi
     Kappa") and reference (with the CRS in its comment), RealityCapture's internal and external parameters, MicMac's
-    `#F=N X Y Z W P K`, in deg as OriConvert takes them.
+    `#F=N X Y Z W P K`, in deg as OriConvert takes them. Orientations of the aerial triangulation programs PAT-B
+    (`.ori`: image, X, Y, Z and rotation matrix, as in PCI Geomatics, "Using Pat-B in OrthoEngine") and BINGO (records
+    `ORIA` of `itera.dat`: image, X, Y, Z, phi, omega, kappa in gon) are such tables in a map.
 
     - `height_datum`: datum of the heights: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
       m, the path of a geoid grid; as in scene files. None if the CRS has a vertical part, or the table a column
@@ -144,7 +147,8 @@ def read_orientations(
     names = columns.names("image")
     refuse_doubles(columns.table, names.tolist(), "image {} is there twice")
     numbers = {name: columns.numbers(name, limits) for name, limits in wanted.items()}
-    numbers |= {name: GON * numbers[gon] for name, (gon, *_) in IN_GON.items() if gon in numbers}
+    doubts = angle_doubts(columns, numbers)
+    numbers = in_degrees(numbers)
     sigma = _sigma(columns)
     if crs is None and linear_alteration_above is not None:
         raise TableError(f"{path}: linear_alteration_above= is of heights in a map; give its crs too.")
@@ -157,7 +161,7 @@ def read_orientations(
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
     of_camera = "omega_deg" in numbers or (crs is not None and "x_m" in numbers)
-    return Orientations(names, pose, camera, sigma, time, (*by_prj, *notes, *_of_program(columns)), of_camera)
+    return Orientations(names, pose, camera, sigma, time, (*by_prj, *notes, *_of_program(columns), *doubts), of_camera)
 
 
 def crs_of(columns: Columns, crs: Any) -> Any:
@@ -334,7 +338,7 @@ def unread_of(columns: Columns) -> list[str]:
 def _of_program(columns: Columns) -> list[str]:
     """Assumptions about a program's columns."""
     header = [name.lower() for name in columns.table.header]
-    notes = unread_of(columns)
+    notes = [*columns.notes, *unread_of(columns)]
     if "f=n" in header:
         notes.append(
             "W, P and K are taken as omega, phi and kappa in deg, as MicMac's OriConvert does; where they are pitch, "

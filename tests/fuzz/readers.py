@@ -38,6 +38,7 @@ from tests.fuzz.sound_exports import AIRDATA, CAPTIONS, GERMAN, METASHAPE, POSIT
 from tests.fuzz.sound_files import (
     ACQUISITION,
     BAL,
+    BINGO,
     CAMERA,
     DEM,
     EXTERIOR,
@@ -50,6 +51,7 @@ from tests.fuzz.sound_files import (
     OPK,
     OPK_GON,
     ORIENTATIONS,
+    PATB,
     RASTERS,
     RECONSTRUCTION,
     SHOTS,
@@ -249,6 +251,17 @@ READERS: tuple[Reader, ...] = (
         text=True,
         second=tables.map_of("EPSG:32651", 20.0),
         tests="orientations",
+    ),
+    Reader(
+        "orientations of aerial triangulation",
+        ".ori",
+        texts(PATB, BINGO),
+        lambda path: read_orientations(path, height_datum=20.0, crs="EPSG:32651").pose,
+        TABLE,
+        on_earth,
+        text=True,
+        second=tables.triangulation("EPSG:32651", 20.0),
+        tests="triangulation",
     ),
     Reader(
         "orientations of other programs",

@@ -92,6 +92,75 @@ def test_yolo_is_in_shares_of_the_image(tmp_path: pathlib.Path) -> None:
     np.testing.assert_allclose(of_polygon.of_size(4000, 3000), four, atol=1e-9)
 
 
+SEVERAL = "0 0.5 0.5 0.1 0.1\n2 0.5 0.5 0.1 0.1\n"
+# As Ultralytics' "Object Detection Datasets Overview" shows it, as Roboflow writes it, and with numbers that are apart.
+DATA_SETS = {
+    "mapping": "path: coco8 # dataset root dir\ntrain: images/train\nval: images/val\ntest: # optional\n\n"
+    "names:\n  0: person\n  1: bicycle\n  2: car\n",
+    "list": "train: ../train/images\nval: ../valid/images\n\nnc: 3\nnames: ['person', 'bicycle', 'car']\n",
+    "numbers apart": "names: {2: car, 0: person}\n",
+    "numbers in quotes": "names: {'0': person, '2': car}\n",
+}
+
+
+@pytest.mark.parametrize("layout", DATA_SETS)
+@pytest.mark.parametrize("place", ["labels", ".", "..", "given"])
+def test_data_yaml_names_the_classes_of_yolo(tmp_path: pathlib.Path, layout: str, place: str) -> None:
+    folder = tmp_path / "data" / "labels" / "train" if place == ".." else tmp_path / "data" / "labels"
+    folder.mkdir(parents=True)
+    write(folder, "a.txt", SEVERAL)
+    at = {"labels": folder, ".": folder.parent, "..": folder.parents[1], "given": tmp_path}[place]
+    path = write(at, "coco8.yaml" if place == "given" else "data.yaml", DATA_SETS[layout])
+    found = read_detections(folder, class_names=path if place == "given" else None)
+    assert [one.attributes["label"] for one in found] == ["person", "car"]
+
+
+def test_names_that_are_given_replace_those_beside(tmp_path: pathlib.Path) -> None:
+    folder = tmp_path / "labels"
+    folder.mkdir()
+    write(folder, "a.txt", SEVERAL)
+    write(tmp_path, "data.yaml", "names: [a, b, c]\n")
+    write(folder, "classes.txt", "hut\ntent\ntree\n")
+    given = write(tmp_path, "names.txt", "roof\nroad\n")
+    for more, labels in (({}, ["hut", "tree"]), ({"class_names": given}, ["roof", "2"])):
+        assert [one.attributes["label"] for one in read_detections(folder, **more)] == labels
+    (folder / "classes.txt").unlink()
+    write(folder, "data.yaml", "train: images\n")  # of something else: classes keep their numbers
+    assert [one.attributes["label"] for one in read_detections(folder)] == ["0", "2"]
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        ("train: images\n", "there is no key names, a list or a mapping"),
+        ("names: person\n", "names must be a list, or a mapping of numbers to names; got 'person'"),
+        ("names: {}\n", "names must be a list, or a mapping of numbers to names; got {}"),
+        ("names: {car: 2}\n", "names has the key 'car'; expected the number of a class, from 0"),
+        ("names: {-1: car}\n", "names has the key -1; expected the number of a class"),
+        ("names: [car, [tree]]\n", r"class 1 is called \['tree'\]; expected a name"),
+        ("names: [car, no]\n", r"class 1 is called False; expected a name \(in quotes, if need be\)"),
+        ("nc: 3\nnames: [car, tree]\n", "nc is 3, but there are 2 names; give the file of these detections"),
+        ("names: [car\n", "not a YAML file"),
+        ("names: [car]\nnames: [tree]\n", "'names' stands twice in one table"),
+    ],
+)
+def test_files_of_names_that_are_damaged_are_refused_in_a_line(
+    tmp_path: pathlib.Path, content: str, words: str
+) -> None:
+    folder = tmp_path / "labels"
+    folder.mkdir()
+    write(folder, "a.txt", SEVERAL)
+    path = write(tmp_path, "given.yaml", content)
+    with pytest.raises(TableError, match=words) as told:
+        read_detections(folder, class_names=path)
+    assert "\n" not in str(told.value)
+    assert "given.yaml" in str(told.value)
+    with pytest.raises(FileNotFoundError, match=r"gone\.yaml: there is no such file of class names"):
+        read_detections(folder, class_names=tmp_path / "gone.yaml")
+    with pytest.raises(TableError, match="class_names= goes with a folder of YOLO files"):
+        read_detections(write(tmp_path, "a.csv", "image,u,v\na.jpg,1,2\n"), class_names=path)
+
+
 def test_track_numbers_of_yolo_are_no_scores_and_no_triangles(tmp_path: pathlib.Path) -> None:
     """As Ultralytics writes them when tracking: behind the box, and behind its confidence."""
     write(tmp_path, "a.txt", "0 0.5 0.5 0.1 0.1 7\n0 0.5 0.5 0.1 0.1 0.9\n")

@@ -364,3 +364,75 @@ def test_angles_in_gon(table) -> None:
     ):
         with pytest.raises(TableError, match=words):
             read_orientations(table(rows.format(header, cells)), height_datum="ellipsoid", crs=32651)
+
+
+@pytest.mark.parametrize("unit, factor", [("rad", np.pi / 180.0), ("gon", 1.0 / 0.9)])
+@pytest.mark.parametrize(
+    "names, crs", [("omega,phi,kappa", 32651), ("yaw,pitch,roll", 32651), ("yaw,pitch,roll", None)]
+)
+def test_angles_in_other_units(table, unit: str, factor: float, names: str, crs: int | None) -> None:
+    """By the names of the columns, for all angles alike, and recognised by them."""
+    places = "image,x,y,z" if crs else "image,lat,lon,height"
+    at = "a,292710,2731048,186.4" if crs else "a,24.68,120.95,186.4"
+    degrees = [28.8, 0.9, -179.1]
+    how: dict[str, Any] = {"height_datum": "ellipsoid"} | ({"crs": crs} if crs else {})
+    of_deg = read_orientations(table(f"{places},{names}\n{at},{','.join(map(str, degrees))}\n"), **how)
+    cells = ",".join(repr(factor * one) for one in degrees)
+    for form in ("{}_" + unit, "{}[" + unit + "]", "{} (" + unit + ")"):
+        header = ",".join(form.format(name) for name in names.split(","))
+        path = table(f"{places},{header}\n{at},{cells}\n")
+        np.testing.assert_allclose(attitudes(read_orientations(path, **how).pose), attitudes(of_deg.pose), atol=1e-14)
+        found = read_acquisition(path, **how)
+        assert not any("not read" in one for one in found.assumed)
+    header = f"{names},{names.split(',')[0]}_{unit}"
+    with pytest.raises(TableError, match=f"{names.split(',')[0]} are there; give all three angles in one unit"):
+        read_orientations(table(f"{places},{header}\n{at},1,2,3,4\n"), **how)
+
+
+def strips(kappas: np.ndarray, tilt: float) -> str:
+    """Twelve images of a block: kappas, and omega and phi drawn with a standard deviation."""
+    small = np.random.default_rng(7).normal(0.0, tilt, (len(kappas), 2))
+    rows = (
+        f"{k},{292710 + 50 * k},2731048,186.4,{omega:.6f},{phi:.6f},{kappa:.6f}"
+        for k, ((omega, phi), kappa) in enumerate(zip(small, kappas, strict=True))
+    )
+    return "image,x,y,z,omega,phi,kappa\n" + "\n".join(rows) + "\n"
+
+
+TO_AND_FRO = np.repeat([0.05, -3.1, 0.02, 3.08], 3)  # rad
+NORTH_AND_SOUTH = np.tile([1.55, -1.6], 6)  # rad
+ALL_ROUND = np.linspace(-3.0, 3.0, 12)  # rad
+ONE_WAY = np.array([-2.9, 1.3, 0.4, 2.2, -1.1, 0.7, -0.3, 3.0, -2.0, 1.7, 0.1, -0.8])  # deg, of a drone in wind
+
+
+@pytest.mark.parametrize(
+    "kappas, tilt, doubtful",
+    [
+        (TO_AND_FRO, 0.03, True),
+        (NORTH_AND_SOUTH, 0.03, True),
+        (ALL_ROUND, 0.03, True),
+        (np.rad2deg(TO_AND_FRO), 1.5, False),
+        (ONE_WAY, 1.5, False),
+        (np.full(12, 0.4), 1.5, False),
+        (TO_AND_FRO[::3], 0.03, False),  # too few to tell
+    ],
+)
+def test_radians_taken_for_degrees_are_doubtful(table, kappas: np.ndarray, tilt: float, doubtful: bool) -> None:
+    content = strips(kappas, tilt)
+    found = read_acquisition(table(content), height_datum="ellipsoid", crs=32651)
+    doubts = [one for one in found.assumed if one.startswith("Check: ")]
+    if doubtful:
+        assert "as those in radians are, and are taken in deg" in doubts[0]
+        named = table(content.replace("omega,phi,kappa", "omega_rad,phi_rad,kappa_rad"))
+        again = read_acquisition(named, height_datum="ellipsoid", crs=32651)
+        assert not any(one.startswith("Check: ") for one in again.assumed)
+        assert "name the columns omega_rad, phi_rad, kappa_rad" in doubts[0]
+    else:
+        assert doubts == []
+
+
+def test_headings_in_radians_are_doubtful_too(table) -> None:
+    rows = [f"{k},24.68,{120.95 + 1e-3 * k},186.4,{TO_AND_FRO[k] % (2 * np.pi):.5f},0.01,-0.02" for k in range(12)]
+    path = table("image,lat,lon,height,yaw,pitch,roll\n" + "\n".join(rows) + "\n")
+    found = read_acquisition(path, height_datum="ellipsoid")
+    assert any("name the columns heading_rad, pitch_rad, roll_rad" in one for one in found.assumed)

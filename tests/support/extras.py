@@ -162,6 +162,15 @@ def px4_log(folder: pathlib.Path) -> None:
     assert len(jaxgeo.io.read_acquisition(folder / "a.ulg", height_datum=0.0)) == 1
 
 
+def names_of_classes(folder: pathlib.Path) -> None:
+    """A detection whose class is named in the data.yaml beside it."""
+    from jaxgeo.io.detections import read_detections
+
+    (folder / "data.yaml").write_text("names: [car]\n")
+    (folder / "a.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    assert read_detections(folder)[0].attributes["label"] == "car"
+
+
 EXTRAS = {
     "cluster": Extra(
         ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pyogrio", "yaml"),
@@ -175,6 +184,7 @@ EXTRAS = {
     "stac": Extra(("pystac", "pystac_client", "requests"), (search,)),
     "video": Extra(("av",), (telemetry, captions)),
     "xarray": Extra(("xarray",), (dataset,)),
+    "yolo": Extra(("yaml",), (names_of_classes,)),
 }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +17,7 @@ from jaxgeo.io._json import read_json, shown, value_of
 from jaxgeo.io._map_grid import projection_text
 from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, datum_of, read_orientation_columns
 from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions._marks import MARK, read_marks
 from jaxgeo.io.acquisitions._rtklib import is_solutions, read_solutions, shares
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
@@ -27,19 +27,13 @@ from jaxgeo.io.orientations import crs_of, has_vertical, of_prj, positions_of, u
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
-_NUMBER = r"\s*(-?\d{1,12}(?:\.\d*)?)\s*"
-MARK = re.compile(  # ASCII digits only
-    rf"\s*(\d{{1,9}})\s{_NUMBER}\s\[(\d{{1,6}})\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s{_NUMBER},Lon\s"
-    rf"{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s(\d{{1,6}})\s*,Q\s*",
-    re.ASCII,
-)
-MARK_FIELDS = ("week", "time of week", "Lat", "Lon", "Ellh", "sigma north", "sigma east", "sigma up", "Q")
-GPS_EPOCH = 315_964_800.0  # s since 1970
-LEAP_SECONDS = 18.0  # GPS minus UTC, since 2017
-WEEK = 604_800.0  # s
 FIRST = 65_536  # characters looked at for the kind of a file
 ANTENNA = (
     "Positions are the antenna's, in the base station's frame, taken to be WGS 84: no lever arm to the camera is added."
+)
+MOVED = (
+    "Positions are the antenna's, in the base station's frame, taken to be WGS 84, moved to the camera by the offsets "
+    "in {}."
 )
 
 
@@ -102,41 +96,27 @@ def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
         raise TableError(f"{path}: its heights are above the ellipsoid (Ellh); leave height_datum= out.")
     if crs is not None:
         raise TableError(f"{path}: its positions are latitudes and longitudes; leave crs= out.")
-    lines = [(i, line) for i, line in enumerate(read_text(path, "file of marks").splitlines(), 1) if line.strip()]
-    numbers, rows, unknown = [], [], []
-    for number, line in lines:
-        found = MARK.fullmatch(line)
-        if found is None:
-            raise TableError(f"{path}, row {number}: not a mark of a photo: {shown(line.strip())}.")
-        photo, tow, week, _, _, _, *rest = found.groups()
-        values: dict[str, float] = dict(zip(MARK_FIELDS, map(float, (week, tow, *rest)), strict=True))
-        if sentinel_of(MARKS, "position", values):
-            unknown.append(photo)
-            continue
-        numbers.append(int(photo))
-        rows.append(values)
-    if not rows:
+    marks = read_marks(path)
+    known = np.array([not sentinel_of(MARKS, "position", one) for one in marks.fields])
+    if not np.any(known):
         raise TableError(f"{path}: no mark has a position (Q 0, or latitude and longitude zero).")
-    twice = [photo for photo, count in Counter(numbers).items() if count > 1]
-    if twice:
-        raise TableError(f"{path}: photo {twice[0]} is there twice.")
+    rows = [marks.fields[k] for k in np.flatnonzero(known)]
+    unknown, time = marks.numbers[~known].astype(str).tolist(), marks.time[known]
     lat, lon, height = (np.array([row[name] for row in rows]) for name in ("Lat", "Lon", "Ellh"))
     _check_place(path, lat, lon, height)
     no_sigma = any(sentinel_of(MARKS, "position errors", row) for row in rows)
-    no_time = any(sentinel_of(MARKS, "time", row) for row in rows)
     sigma = np.array([[row["sigma north"], row["sigma east"], row["sigma up"]] for row in rows])
-    weeks, tows = (np.array([row[name] for row in rows]) for name in ("week", "time of week"))
     notes = ["Positions are the camera's, as DJI has moved them from the antenna, taken to be of WGS 84."]
     notes += [f"{len(unknown)} marks have no position and are left out: {_some(unknown)}."] if unknown else []
     return PositionTable(
         path=os.fspath(path),
         form="DJI marks of photos",
         names=None,
-        numbers=np.array(numbers),
+        numbers=marks.numbers[known],
         position=Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height),
         has_heights=True,
         sigma=None if no_sigma else sigma,
-        time=None if no_time else GPS_EPOCH + WEEK * weeks + tows - LEAP_SECONDS,
+        time=None if np.any(np.isnan(time)) else time,
         assumed=tuple(notes),
     )
 

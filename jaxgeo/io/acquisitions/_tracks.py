@@ -27,21 +27,18 @@ def at_times(found: Acquisition, table: PositionTable) -> PositionTable:
     """
     name = os.path.basename(table.path)
     if not found.time_is_utc:
-        raise TableError(
-            f"{table.path}: positions of a trajectory are joined by time, but the times of {found.path} are not in UTC "
-            f"(no UTCAtExposure, GPSTimeStamp or OffsetTimeOriginal in the tags). Add the camera's time zone "
-            f"(OffsetTimeOriginal, such as +08:00), or give positions by the names of the images (geo.txt)."
-        )
+        raise TableError(no_utc(found, table))
     assert table.time is not None
     times = np.asarray(found.shots.time, np.float64)
     after = np.clip(np.searchsorted(table.time, times), 1, len(table.time) - 1)
     within = (times >= table.time[0]) & (times <= table.time[-1])
     within &= table.time[after] - table.time[after - 1] <= MOST_GAP
     if not np.any(within):
-        first, last, own = (_clock(one) for one in (table.time[0], table.time[-1], times[0]))
+        taken = int(np.argmax(np.isfinite(times)))  # images without a mark have no time
+        first, last, own = (_clock(one) for one in (table.time[0], table.time[-1], times[taken]))
         raise TableError(
             f"{table.path}: no image was taken within it: it is from {first} to {last} (UTC), with gaps of up to "
-            f"{np.max(np.diff(table.time)):.1f} s, and {found.names[0]} of {own}."
+            f"{np.max(np.diff(table.time)):.1f} s, and {found.names[taken]} of {own}."
         )
     after, t = after[within], times[within]
     p = table.position
@@ -69,6 +66,16 @@ def at_times(found: Acquisition, table: PositionTable) -> PositionTable:
         quality=None,
         is_track=False,
         assumed=(*table.assumed, f"Positions are interpolated in {epochs} to the times of the images.", *notes),
+    )
+
+
+def no_utc(found: Acquisition, table: PositionTable) -> str:
+    """Message that solutions of a receiver cannot be joined to images without times in UTC."""
+    return (
+        f"{table.path}: its positions are joined by time, but the times of {found.path} are not in UTC (no "
+        f"UTCAtExposure, GPSTimeStamp or OffsetTimeOriginal in the tags). Put DJI's marks of the flight (.MRK) beside "
+        f"the images, add the camera's time zone (OffsetTimeOriginal, such as +08:00), or give positions by the names "
+        f"of the images (geo.txt)."
     )
 
 

@@ -31,11 +31,3 @@ def numbers_of(where: str, element: ET.Element | None, count: int) -> np.ndarray
     if found is None or len(found) != count:
         raise TableError(f"{where}: expected {count} numbers; got {text.strip()[:60]!r}.")
     return np.array(found)
-
-
-def rotation_near(where: str, matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix that is one except for rounding. Raises `TableError` for any other matrix."""
-    left, values, right = np.linalg.svd(matrix)
-    if np.any(np.abs(values - 1.0) > 1e-3) or np.linalg.det(left @ right) < 0.0:
-        raise TableError(f"{where}: it is no rotation.")
-    return left @ right

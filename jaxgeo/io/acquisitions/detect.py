@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -11,10 +12,12 @@ import jax
 import numpy as np
 
 from jaxgeo._record import portable
+from jaxgeo._text_numbers import numbers_in
 from jaxgeo.io._dialect import header_of
-from jaxgeo.io._orientation_columns import ALIASES, KNOWN
+from jaxgeo.io._orientation_columns import KNOWN, meanings
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import text_of
+from jaxgeo.io._triangulation import program_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions._by_time import by_time
 from jaxgeo.io.acquisitions._camera_checks import with_camera_doubts
@@ -158,6 +161,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
             return form
     _refuse_image(path, head)
     _refuse_damaged(path, head)
+    _refuse_nameless(path, head)
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
@@ -183,6 +187,19 @@ def _refuse_damaged(path: str | os.PathLike[str], head: bytes) -> None:
         raise TableError(
             f"{path}: it is text up to byte {zero}, and zero bytes from there: it was not written or copied to its "
             f"end. Copy it again, or delete what follows."
+        )
+
+
+def _refuse_nameless(path: str | os.PathLike[str], head: bytes) -> None:
+    """Raises `TableError` for rows of an image, a position and three angles without the names of the columns."""
+    text = text_of(head, is_cut=True) or ""
+    rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines()[:-1] or [text] if line.strip()]
+    rows = [row for row in rows if not row[0].startswith("#")][:5]
+    if rows and all(len(row) == 7 and numbers_in(row[1:]) is not None for row in rows):
+        raise TableError(
+            f"{path}: rows of a name and six numbers, but no names of columns, so the order and unit of the angles are "
+            f"not stated; write them above, such as image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg (or omega_gon, "
+            f"omega_rad)."
         )
 
 
@@ -344,14 +361,16 @@ def _is_micmac(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_table(path: pathlib.Path, head: bytes) -> bool:
-    """Whether the header, which may be a comment, names columns of positions and angles."""
+    """Whether a file is one of PAT-B or BINGO, or its header, which may be a comment, names columns of positions and
+    angles."""
     text = text_of(head, is_cut=True)
     if text is None or not text.strip():
         return False
+    if program_of(text) is not None:
+        return True
     words = {name.strip(" '\"").lower() for name in header_of(text, KNOWN)}
-    meant = {name for name, others in ALIASES.items() if {name, *others} & words}
-    on_map = {"omega", "omega_deg", "omega_gon", "omega_rad", "o"} & words
-    return "lat_deg" in meant or bool(on_map) or {"x_m", "y_m", "heading_deg"} <= meant or "f=n" in words
+    meant = meanings(words - {"w"})  # alone, it is a width as often
+    return bool({"lat_deg", "omega_deg"} & meant) or {"x_m", "y_m", "heading_deg"} <= meant or "f=n" in words
 
 
 def _is_sbet(path: pathlib.Path, head: bytes) -> bool:

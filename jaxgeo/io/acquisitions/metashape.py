@@ -10,8 +10,9 @@ import numpy as np
 
 from jaxgeo._checks import require_x64
 from jaxgeo._text_numbers import whole_in
+from jaxgeo.io._rotations import rotation_near
 from jaxgeo.io.acquisitions._world_frames import check_on_earth, pose_of_ecef
-from jaxgeo.io.acquisitions._xml import numbers_of, root_of, rotation_near
+from jaxgeo.io.acquisitions._xml import numbers_of, root_of
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.datum_names import is_ellipsoid

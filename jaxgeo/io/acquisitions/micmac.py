@@ -12,8 +12,9 @@ import pyproj
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo._text_numbers import numbers_in, words_of
+from jaxgeo.io._rotations import rotation_near
 from jaxgeo.io.acquisitions._world_frames import FRAMES, poses_in_frame
-from jaxgeo.io.acquisitions._xml import numbers_of, root_of, rotation_near
+from jaxgeo.io.acquisitions._xml import numbers_of, root_of
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError

@@ -15,7 +15,6 @@ import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
-from jaxgeo.io._bounded import read_bytes
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._dialect import header_of
@@ -24,6 +23,7 @@ from jaxgeo.io._map_grid import MapGrid, metric_map, understood_crs
 from jaxgeo.io._orientation_columns import KNOWN
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import read_text
+from jaxgeo.io._yaml import read_yaml
 from jaxgeo.io.acquisitions.blocks import (
     CHOICES,
     NO_ERRORS,
@@ -38,7 +38,6 @@ from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.acquisitions.sentences import heights_are
 from jaxgeo.io.errors import A_WRONG_GUESS, TableError, VerticalDatumError
 from jaxgeo.io.given_camera import AS_READ
-from jaxgeo.io.limits import NESTING, PARAMETER_BYTES
 from jaxgeo.io.orientations import poses_of_opk
 from jaxgeo.io.vertical import height_shift, is_unnamed
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
@@ -91,7 +90,7 @@ def read_orthority(
 def read_orthority_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]:
     """Read the cameras of an Orthority interior parameter file, by name; raises as `read_orthority`."""
     require_x64()
-    content = _read_yaml(path)
+    content = read_yaml(path, "interior parameter file", extra="orthority")
     if not isinstance(content, dict) or not content:
         raise TableError(f"{path}: expected cameras by name; got {shown(content)}.")
     if "type" in content and not isinstance(content["type"], dict):  # one camera at the top level
@@ -280,44 +279,3 @@ def _poses_in_map(
 def _same(path: Any, one: Any, other: Any) -> bool:
     first, second = (understood_crs(path, crs)[0] for crs in (one, other))
     return first.equals(second, ignore_axis_order=True)
-
-
-def _read_yaml(path: str | os.PathLike[str]) -> Any:
-    """The content of a YAML file; duplicate keys and references within the file are refused."""
-    try:
-        import yaml
-    except ImportError as error:
-        raise ImportError("Reading YAML needs PyYAML: pip install 'jaxgeo[orthority]'.") from error
-    check_regular(path, TableError)
-    try:
-        text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
-        depth = 0
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            NESTING.check(path, depth)
-            if isinstance(event, yaml.AliasEvent):
-                raise TableError(
-                    f"{path}, line {event.start_mark.line + 1}: references (*) are not read; write it out."
-                )
-        written, content = yaml.compose(text, Loader=yaml.SafeLoader), yaml.safe_load(text)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such interior parameter file.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: the interior parameter file cannot be read: {error}.") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        if isinstance(error, TableError):
-            raise
-        raise TableError(f"{path}: not a YAML file: {' '.join(str(error).split())}.") from error
-    _refuse_doubles(path, written)
-    return content
-
-
-def _refuse_doubles(path: Any, node: Any) -> None:
-    """Raises `TableError` for a duplicate key in one table of a YAML file."""
-    pairs = node.value if node is not None and node.id == "mapping" else []
-    seen = Counter(key.value for key, _ in pairs if isinstance(key.value, str))
-    twice = [name for name, count in seen.items() if count > 1]
-    if twice:
-        raise TableError(f"{path}: {twice[0]!r} stands twice in one table.")
-    for _, value in pairs:
-        _refuse_doubles(path, value)

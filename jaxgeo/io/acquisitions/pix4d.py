@@ -14,9 +14,9 @@ from jaxgeo._text_numbers import numbers_in, whole_in, words_of
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._json import shown
 from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
+from jaxgeo.io._rotations import rotation_near
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions._world_frames import FRAMES, poses_in_frame
-from jaxgeo.io.acquisitions._xml import rotation_near
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError

@@ -14,8 +14,9 @@ import pyproj
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
-from jaxgeo.io.acquisitions._position_tables import PositionTable, read_positions
-from jaxgeo.io.acquisitions._tracks import at_times
+from jaxgeo.io.acquisitions._marks import Marks, marks_beside, moved
+from jaxgeo.io.acquisitions._position_tables import ANTENNA, MOVED, PositionTable, read_positions
+from jaxgeo.io.acquisitions._tracks import at_times, no_utc
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.acquisitions.sentences import DOUBT
 from jaxgeo.io.errors import TableError
@@ -43,9 +44,11 @@ def with_positions(
     positions, including `sigma_north_m`, `sigma_east_m`, `sigma_down_m`. Names match with or without their extension,
     in any case; marks match images by the four digits in the name, else by time in UTC. Solutions of RTKLIB match by
     time in UTC (GPS time less its leap seconds): epochs at a receiver's even times are interpolated, others (camera
-    events) are those of images up to 1 s away; the positions are the antenna's, without a lever arm. Exposures that
-    are missing in the file are left out, and named in `assumed`. If it has no heights, those of the exposures are
-    kept.
+    events) are those of images up to 1 s away; the positions are the antenna's, without a lever arm. With DJI's marks
+    (one file `.MRK`) beside the images or beside the solutions, they match at the times of the marks, by the four
+    digits in the names of the images, and positions are moved from the antenna to the camera by the marks' offsets.
+    Exposures that are missing in the file are left out, and named in `assumed`. If it has no heights, those of the
+    exposures are kept.
 
     - `height_datum`: datum of the file's heights, unless the file states it, as marks do.
     - `crs`: the CRS of its positions, if they are projected and the file does not state it.
@@ -60,13 +63,18 @@ def with_positions(
 
 def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
     """As `with_positions`, for positions already read."""
-    is_track = table.is_track
-    table = at_times(found, table) if is_track else table
-    rows, by = _joined(found, table)
-    by = "time" if is_track else by
+    is_track, marks = table.is_track, _marks_of(found, table)
+    offset, timed = np.zeros((len(found), 3)), found
+    if marks is not None:
+        timed, offset = _marked(found, marks)
+        at_camera = MOVED.format(os.path.basename(marks.path))
+        table = dataclasses.replace(table, assumed=tuple(at_camera if one == ANTENNA else one for one in table.assumed))
+    table = at_times(timed, table) if is_track else table
+    rows, by = _joined(timed, table)
+    by = f"{'time' if is_track else by}{'' if marks is None else ' of marks'}"
     kept = np.flatnonzero(rows >= 0)
     if not len(kept):
-        raise TableError(_none_joined(found, table))
+        raise TableError(_none_joined(timed, table))
     _check_clocks(found, table, kept, rows[kept])
     doubts = _check_near(found, table, kept, rows[kept])
     pick = rows[kept]
@@ -74,6 +82,7 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
     sensor, shots, sources, reported, above_takeoff = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], own)
     height = table.position.height[pick] if table.has_heights else shots.pose.position.height
     position = Geodetic(lat=table.position.lat[pick], lon=table.position.lon[pick], height=height)
+    position = position if marks is None else moved(position, offset[kept])
     shots = dataclasses.replace(shots, pose=dataclasses.replace(shots.pose, position=position))
     others = tuple(source for source in sources if not isinstance(source, Position))
     if table.sigma is not None:
@@ -95,8 +104,17 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
 def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> None:
     """Raises `TableError` if the times of images read one by one and of a table are not of one flight, or if two
     images share a number. Images joined by name or by time need no check."""
+    if table.names is None and table.numbers is None:
+        by_folder: dict[str, list[Acquisition]] = {}
+        for one in images:
+            by_folder.setdefault(os.path.dirname(one.path), []).append(one)
+        for some in by_folder.values():
+            marks = _marks_of(some[0], table)
+            if marks is not None and not all(one.time_is_utc for one in some):
+                check_one_flight(some, _as_table(marks))
+        return
     numbered = [one for one in images if all(map(_numbers_in, one.names))]
-    if table.names is not None or table.numbers is None or len(numbered) < 2:
+    if table.names is not None or len(numbered) < 2:
         return
     each = [one.shots for one in numbered]
     found = dataclasses.replace(
@@ -130,6 +148,49 @@ def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
     return _by_time(found, table), "time"
 
 
+def _marks_of(found: Acquisition, table: PositionTable) -> Marks | None:
+    """The marks beside images or beside the solutions of a receiver; None for other positions, and if they are of other
+    images whose times are known without them."""
+    if table.names is not None or table.numbers is not None:
+        return None
+    marks = marks_beside(found.path, table.path, needed=not found.time_is_utc)
+    if marks is None or not found.time_is_utc:
+        return marks
+    return marks if np.any(_mark_rows(found, _as_table(marks)) >= 0) else None
+
+
+def _marked(found: Acquisition, marks: Marks) -> tuple[Acquisition, np.ndarray]:
+    """(exposures with the times of their marks in UTC, NaN without one; offsets (n, 3) in m from antenna to camera).
+
+    Raises `TableError` if none has a mark with a time, and for marks of another flight.
+    """
+    table = _as_table(marks)
+    rows = _mark_rows(found, table)
+    rows = np.where(np.isnan(marks.time[rows]), -1, rows)
+    kept = np.flatnonzero(rows >= 0)
+    if not len(kept):
+        raise TableError(_none_joined(found, table))
+    _check_clocks(found, table, kept, rows[kept])
+    time = np.where(rows >= 0, marks.time[rows], np.nan)
+    shots = dataclasses.replace(found.shots, time=time)
+    return dataclasses.replace(found, shots=shots, time_is_utc=True), marks.offset[rows]
+
+
+def _mark_rows(found: Acquisition, table: PositionTable) -> np.ndarray:
+    """The row of the mark of each exposure, -1 if missing: by number, or by time if several images have one number, as
+    those of several cameras have, and their times are in UTC. Raises as `_joined`."""
+    numbers = [_numbers_in(name)[-1:] for name in found.names]
+    is_unique = len({tuple(one) for one in numbers}) == len(numbers)
+    return _joined(found, table)[0] if is_unique or not found.time_is_utc else _by_time(found, table)
+
+
+def _as_table(marks: Marks) -> PositionTable:
+    """Marks as a table that images are joined to by number, else by time; its positions are not used."""
+    nowhere = np.full(len(marks.numbers), np.nan)
+    position = Geodetic(lat=nowhere, lon=nowhere, height=nowhere)
+    return PositionTable(marks.path, "DJI marks of photos", None, marks.numbers, position, False, time=marks.time)
+
+
 def _numbers_in(name: str) -> list[str]:
     """The four-digit numbers in an image name."""
     return NUMBER.findall(os.path.basename(name))
@@ -154,10 +215,12 @@ def _stem(name: str) -> str:
 
 
 def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
+    if table.numbers is None and not found.time_is_utc:
+        raise TableError(no_utc(found, table))
     if table.time is None or not found.time_is_utc:
         raise TableError(
-            f"{table.path}: photos match by {'number and ' if table.numbers is not None else ''}time, but {found.path} "
-            f"has {'no numbers of four digits in its names, and ' if table.numbers is not None else ''}no times in UTC."
+            f"{table.path}: photos match by number and time, but {found.path} has no numbers of four digits in its "
+            f"names, and no times in UTC."
         )
     apart = np.abs(np.asarray(found.shots.time)[:, None] - table.time[None, :])
     nearest = np.argmin(apart, axis=1)
@@ -211,7 +274,8 @@ def _none_joined(found: Acquisition, table: PositionTable) -> str:
     there: Any = next((one for one in (table.names, table.numbers) if one is not None), None)
     if there is None:
         first, last = (np.datetime64(int(one), "s") for one in (np.min(table.time), np.max(table.time)))  # type: ignore[arg-type]
-        own = np.datetime64(int(np.asarray(found.shots.time)[0]), "s")
+        times = np.asarray(found.shots.time)
+        own = np.datetime64(int(times[int(np.argmax(np.isfinite(times)))]), "s")  # images without a mark have no time
         return f"{table.path}: no image was taken at one of its times, {first} to {last} (UTC); the first is of {own}."
     if len(found) == 1:
         return f"{table.path}: it has no position of {found.names[0]}, but of {_some(np.asarray(there).astype(str))}."

@@ -15,6 +15,7 @@ import numpy as np
 from tests.fuzz.second.compared import (
     DEGREES,
     METRES,
+    R_NED_FROM_ENU,
     decoded,
     egm96,
     in_map,
@@ -26,6 +27,7 @@ from tests.fuzz.second.compared import (
     same_names,
     same_places,
     same_turn,
+    turn,
 )
 
 Rows = list[dict[str, str]]
@@ -153,7 +155,7 @@ def map_of(crs: str, undulation: float) -> Callable[[pathlib.Path, Any], None]:
 
 
 def _turned(rows: Rows, azimuth: np.ndarray) -> np.ndarray:
-    from tests.fuzz.second.compared import R_BODY_FROM_CAMERA, turn
+    from tests.fuzz.second.compared import R_BODY_FROM_CAMERA
 
     for unit, factor in (("deg", 1.0), ("gon", 0.9)):
         try:
@@ -164,6 +166,43 @@ def _turned(rows: Rows, azimuth: np.ndarray) -> np.ndarray:
     heading, pitch, roll = np.deg2rad(numbers(rows, "heading_deg", "pitch_deg", "roll_deg"))
     heading = heading + np.deg2rad(azimuth)
     return turn("z", heading) @ turn("y", pitch) @ turn("x", roll) @ R_BODY_FROM_CAMERA
+
+
+def triangulation(crs: str, undulation: float) -> Callable[[pathlib.Path, Any], None]:
+    """Orientations of BINGO (lines ORIA) or PAT-B (an image with 12 or 13 numbers), each as one run of words."""
+
+    def second(path: pathlib.Path, pose: Any) -> None:
+        lines = [re.split(r"[ \t\f\v]+", line.strip(" \t\f\v")) for line in decoded(path.read_bytes()).splitlines()]
+        of_bingo = [line[2:8] for line in lines if line[0].upper() == "ORIA"]
+        if of_bingo:
+            x, y, z, *angles = np.array([[number(cell) for cell in row] for row in of_bingo]).T
+            phi, omega, kappa = np.pi / 200.0 * np.array(angles)
+            R = turn("y", phi) @ turn("x", omega) @ turn("z", kappa)
+        else:
+            x, y, z, R = _patb([line for line in lines if line != [""]])
+        lat, lon, azimuth = in_map(crs, x, y)
+        same_places(pose.position, lat, lon, z + undulation)
+        R_enu_from_map = turn("z", -np.deg2rad(azimuth))
+        same_attitude(pose, R_NED_FROM_ENU @ R_enu_from_map @ R @ np.diag([1.0, -1.0, -1.0]))
+
+    return second
+
+
+def _patb(lines: list[list[str]]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(x, y, z, R_map_from_image) of images whose nine elements follow a line that ends in a position."""
+    from scipy.linalg import polar
+
+    places, rotations = [], []
+    while lines:
+        places.append([number(cell) for cell in lines[0][-3:]])
+        elements: list[float] = []
+        taken = 1
+        while len(elements) < 9:
+            elements += map(number, lines[taken])
+            taken += 1
+        rotations.append(polar(np.reshape(elements, (3, 3)))[0])
+        lines = lines[taken:]
+    return (*np.array(places).T, np.array(rotations))
 
 
 def shots(path: pathlib.Path, table: Any) -> None:
