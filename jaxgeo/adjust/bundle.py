@@ -19,8 +19,8 @@ from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import Whole, motions, observed_whole, unheld
 from jaxgeo.adjust.diagnosis import Diagnosis, diagnosed
 from jaxgeo.adjust.equations import linearised
-from jaxgeo.adjust.kept import block_of, masked, set_aside
-from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.kept import Kept, block_of, masked, set_aside
+from jaxgeo.adjust.losses import AbstractLoss, Cauchy, LeastSquares
 from jaxgeo.adjust.observing import Observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
@@ -28,7 +28,7 @@ from jaxgeo.adjust.rank_defects import DeficientBlock, Direction, datum_words, w
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import HeightObservations
-from jaxgeo.adjust.tie_start import start_by_ties, taken_back
+from jaxgeo.adjust.tie_start import placed, start_by_ties, taken_back
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weak_datum import share_left
 
@@ -119,13 +119,23 @@ def adjust(
     ready = masked(block, full, screened.kept)
     solution = solve(ready.problem, loss, solver, callback, start)
     if screen is not None and screened.aside and solution.converged:
-        before, screened = screened.aside, taken_back(block, full, solution.values, screened, screen)
-        if len(screened.aside) < len(before):
+        before, screened = screened, taken_back(block, full, solution.values, screened, screen)
+        if len(screened.aside) < len(before.aside):
             full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
             ready = masked(block, full, screened.kept)
-            first, solution = solution, solve(ready.problem, loss, solver, callback, solution.values)
+            start = placed(block, full, solution.values, before.kept, screened.kept)
+            first, solution = solution, solve(ready.problem, loss, solver, callback, start)
             more = (replace(one, number=one.number + first.log[-1].number) for one in solution.log[1:])
             solution = solution._replace(log=(*first.log, *more))
+    found = _unless_deficient(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
+    if found is None:  # the block needs some of what is set aside, which the start was too poor to judge
+        whole = prepared(block, unknowns, terrain)
+        start = placed(block, whole, solution.values, screened.kept, Kept.all(block))
+        robust = solve(whole.problem, Cauchy(), solver, callback, start)
+        screened = taken_back(block, whole, robust.values, screened, SIGMAS if screen is None else screen)
+        ready = masked(block, prepared(block, unknowns, terrain, set_aside(block, screened.kept)), screened.kept)
+        solution = solve(ready.problem, loss, solver, callback, robust.values)
+        found = adjusted(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
     if screened.aside:
         warnings.warn(
             f"set aside before the first iteration: {screened.words()}. Correct or leave them out; "
@@ -133,7 +143,18 @@ def adjust(
             RuntimeWarning,
             stacklevel=2,
         )
-    return adjusted(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
+    return found
+
+
+def _unless_deficient(block: Block, *given: Any) -> Adjustment | None:
+    """As `adjusted`, but None for a deficient block of which something is set aside."""
+    screened: Screen = given[-1]
+    try:
+        return adjusted(block, *given)
+    except DeficientBlock:
+        if not screened.aside:
+            raise
+        return None
 
 
 def adjusted(

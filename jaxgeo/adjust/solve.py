@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -26,6 +27,7 @@ from jaxgeo.adjust.reduction import (
     Eliminated,
     Reduced,
     back_substituted,
+    backward,
     eliminated,
     gather,
     reduced,
@@ -37,6 +39,9 @@ from jaxgeo.adjust.values import Values, moved
 from jaxgeo.adjust.weak_datum import Motions, apart, at_holds, motions_apart, moved_together, weakly_held, with_holds
 
 LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
+WELL_PREDICTED = 0.9  # of the predicted decrease; below it the points are placed anew,
+SETTLING = 0.01  # of the cost: where less is predicted; far from the solution that leads astray
+LEAST_OF_POINTS = 1e-9  # damping of that, relative to the diagonal
 
 
 @dataclass(frozen=True)
@@ -120,8 +125,10 @@ def solve(
     while len(log) <= solver.max_iterations and not converged and damping < MOST_DAMPING:
         trial, new_cost, predicted = _trial(problem, values, equations, loss, jnp.asarray(damping), weak)
         new_cost, predicted = float(new_cost), float(predicted)
-        decrease = cost - new_cost
         least = max(relative * cost, solver.absolute)
+        if least < predicted <= SETTLING * cost and not cost - new_cost > WELL_PREDICTED * predicted:
+            trial, new_cost = _with_points(problem, trial, new_cost, loss)
+        decrease = cost - new_cost
         # # The sign of the decrease is random once rounding exceeds the possible gain.
         accepted = predicted > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and predicted <= 1e-10 * cost))
         gain = decrease / predicted if predicted > 0.0 else 0.0
@@ -150,6 +157,24 @@ def _trial(
         motions = motions_apart(problem, values, equations, system.matrix)
         return _stepped_apart(problem, values, equations, (points, system), motions, loss, damping)
     return _stepped(problem, values, equations, (points, system), loss, damping)
+
+
+def _with_points(problem: Problem, values: Values, cost: float, loss: AbstractLoss) -> tuple[Values, float]:
+    """(values with the points moved to where their rays now meet, the cost) if that lowers it, else as given.
+
+    A long strip bends in steps: turned images, with points moved along tangents, misfit by the square of the turn.
+    """
+    equations = linearised(problem, values, loss)
+    points = eliminated(problem, equations, LEAST_OF_POINTS)
+    placed, new_cost = _placed(problem, values, points, loss)
+    return (placed, float(new_cost)) if float(new_cost) < cost else (values, cost)
+
+
+@sized_filter_jit
+def _placed(problem: Problem, values: Values, points: Eliminated, loss: AbstractLoss) -> tuple[Values, Scalar]:
+    step = -backward(points.factor, points.forward) * problem.free_point.T
+    placed = eqx.tree_at(lambda x: x.points, values, values.points + step.T)
+    return placed, cost_of(problem, placed, loss)
 
 
 @sized_filter_jit

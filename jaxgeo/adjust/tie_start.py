@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.control_consensus import Motion
+from jaxgeo.adjust.initial_points import started
 from jaxgeo.adjust.kept import Kept, control_of, masked
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.problem import Prepared
@@ -56,11 +57,7 @@ def start_by_ties(
 
 def screened_from(block: Block, full: Prepared, values: Values, sigmas: float) -> tuple[Screen, Motion | None]:
     """Screening of a block with adjusted orientations and interiors, and the motion that aligns it with its control."""
-    centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
-    images = Images(block.images.name, block.images.camera, centre, _nearest_rotations(R))
-    lenses = zip(full.names.camera, values.lens, strict=True)
-    cameras = {name: with_interior(block.cameras[name], lens) for name, lens in lenses}
-    return screened_again(replace(block, images=images, cameras=cameras), sigmas)
+    return screened_again(_adjusted(block, full, values), sigmas)
 
 
 def taken_back(block: Block, full: Prepared, values: Values, screened: Screen, sigmas: float) -> Screen:
@@ -69,6 +66,33 @@ def taken_back(block: Block, full: Prepared, values: Values, screened: Screen, s
     kept = Kept(screened.kept.rows | again.rows, screened.kept.control | again.control).whole(block)
     flags = {IMAGE_POINT: kept.rows, CONTROL_POINT: kept.control}
     return replace(screened, kept=kept, aside=tuple(one for one in screened.aside if not flags[one.kind][one.row]))
+
+
+def placed(block: Block, full: Prepared, values: Values, before: Kept, kept: Kept) -> Values:
+    """Values where points without any ray `before` lie where those now `kept` meet, by adjusted orientations."""
+    observations = block.observations
+    names, point = observations.point_numbers
+    new = np.bincount(point, weights=before.rows, minlength=len(names)) == 0
+    new &= np.bincount(point, weights=kept.rows, minlength=len(names)) > 0
+    new &= ~np.isin(names, control_of(block).name[before.control])
+    if not np.any(new):
+        return values
+    places = np.array(values.points)
+    places[full.order.row_of_point[new]] = np.nan
+    by_name = np.argsort(block.images.name)
+    image = by_name[np.searchsorted(block.images.name, observations.image, sorter=by_name)]
+    row, used = full.order.row_of_point[point], kept.rows & new[point]
+    places = started(_adjusted(block, full, values), places, row, image, used)
+    return eqx.tree_at(lambda v: v.points, values, jnp.asarray(places))
+
+
+def _adjusted(block: Block, full: Prepared, values: Values) -> Block:
+    """The block with adjusted orientations and interiors to start from."""
+    centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
+    images = Images(block.images.name, block.images.camera, centre, _nearest_rotations(R))
+    lenses = zip(full.names.camera, values.lens, strict=True)
+    cameras = {name: with_interior(block.cameras[name], lens) for name, lens in lenses}
+    return replace(block, images=images, cameras=cameras)
 
 
 def _moved(values: Values, motion: Motion) -> Values:
