@@ -168,7 +168,13 @@ def test_datums_that_nobody_states_are_asked_for_at_once(here: pathlib.Path) -> 
             "locate flight.klv --no-accuracy --ground 1000",
             "frame centre 7[0-9]+ m below --ground 1000",
         ),
-        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0", "are relative to the take-off"),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0", ""),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0 --camera-datum ellipsoid", ""),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --dem dem.tif", "Give --takeoff-height dem, or its"),
+        (
+            "locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0 --dem-datum EPSG:5773",
+            "take-off is at 0 m above the ellipsoid.*Give its height as --takeoff-height",
+        ),
         ("locate DJI_0042.JPG --no-accuracy --takeoff-height 5 --ground 0", ""),
         ("locate flight.klv --no-accuracy --ground reported", ""),
     ],
@@ -182,3 +188,46 @@ def test_level_ground_far_from_what_the_files_report_is_doubtful(line: str, word
         for way in re.findall(r"Give (--ground \d+)", one):
             assert "check: " not in run(f"{line.partition(' --ground')[0]} {way}").stderr
         assert "Give" in one or "take-off" in words
+
+
+@pytest.mark.costly
+def test_without_the_height_of_the_take_off_nothing_is_above_a_datum(here: pathlib.Path) -> None:
+    """In JSON, on the terminal, through pipes, on pages and in footprints; with a datum for it all is as ever."""
+    prepare(here, "locate DJI_0042.JPG")
+    given = "DJI_0042.JPG --takeoff-height 0 --ground 2.5"
+    found = run(f"locate {given} --no-accuracy --json")
+    assert found.exit_code == 0, found.output
+    assert "all heights are above the take-off, and above no datum" in " ".join(found.stderr.split())
+    (row,) = json.loads(found.stdout)["fixes"]
+    assert row["fix_height_above_takeoff_m"] == 2.5
+    assert not {"fix_height_m", "fix_height_msl_m"} & set(row)
+    shown = " ".join(run(f"locate {given} --no-accuracy").stdout.split())
+    assert "height: m above the take-off" in shown
+    assert not re.search("WGS 84|EGM96|msl", shown)
+    (feature,) = json.loads(run(f"locate {given} --no-accuracy --format geojson").stdout)["features"]
+    assert len(feature["geometry"]["coordinates"]) == 2
+    header = run(f"locate {given} --no-accuracy --format csv").stdout.splitlines()[0].split(",")
+    assert "fix_height_above_takeoff_m" in header
+    assert not {"fix_height_m", "fix_height_msl_m"} & set(header)
+    assert run(f"report {given} -o page.html").exit_code == 0
+    page = (here / "page.html").read_text(encoding="utf-8")
+    assert "2.50 m</b> above the take-off" in page
+    assert not re.search("EGM96|height above WGS 84|[0-9] m above (the )?WGS 84", page)
+    seen = run(f"footprint {given} --json")
+    assert {*json.loads(seen.stdout)["footprints"][0]["outline"][0]} >= {"height_above_takeoff_m"}
+    refused = run(f"footprint {given} -o f.geojson --crs EPSG:4979")
+    assert refused.exit_code == 2
+    assert "needs heights above a datum" in refused.stderr
+    known = run(f"locate {given} --camera-datum ellipsoid --no-accuracy --json")
+    (row,) = json.loads(known.stdout)["fixes"]
+    assert row["fix_height_m"] == 2.5
+    assert "no datum" not in known.stderr
+
+
+def test_the_viewer_says_what_heights_are_above(here: pathlib.Path) -> None:
+    from jaxgeo.view.data import _heights
+
+    assert _heights({"fix_height_above_takeoff_m": 2.5}) == {"height_text": "2.50 m above the take-off"}
+    known = _heights({"fix_height_m": 2.5, "fix_height_msl_m": -30.0})
+    assert known["height_text"].endswith("above the WGS 84 ellipsoid")
+    assert "EGM96" in known["msl_text"]

@@ -155,6 +155,11 @@ class ReadingOptions(OptionGroup):
         return {name: value for name, value in how.items() if value is not None}
 
     @property
+    def is_above_takeoff(self) -> bool:
+        """Whether the take-off is the level of reference: at 0 m above no datum that is named."""
+        return self.height_datum is None and number_in(self.takeoff_height or "") == 0.0
+
+    @property
     def known_arguments(self) -> dict[str, Any]:
         """`arguments` for a reader. Raises `UserError` for a take-off on an elevation model, which no reader has."""
         if self.takeoff_height == TAKEOFF_ON_DEM:

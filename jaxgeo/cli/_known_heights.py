@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from jaxgeo._checks import enable_x64
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, ReadingOptions, reading_files
 from jaxgeo.cli._archive_dem import is_archive
 from jaxgeo.cli._common import UserError
@@ -20,6 +21,7 @@ from jaxgeo.cli._options import READING, DemOptions
 from jaxgeo.cli._screen import print_note
 
 if TYPE_CHECKING:
+    from jaxgeo.cli._locate_options import GroundOptions
     from jaxgeo.io import Observations
 
 UNSTATED = "does not state the vertical datum of its heights"  # of a `VerticalDatumError`
@@ -91,6 +93,31 @@ def with_known_heights(
         )
     print_note(f"assumed: The take-off is at {height:.2f} m above the ellipsoid, as the ground under {name}.")
     return dataclasses.replace(reading, takeoff_height=f"{height:.3f}")
+
+
+def has_no_datum(reading: ReadingOptions, ground: GroundOptions) -> bool:
+    """Whether heights, those of level ground too, are above a take-off whose own height is unknown."""
+    is_level = number_in(ground.level or "") is not None and ground.vertical_datum is None
+    return reading.is_above_takeoff and is_level
+
+
+def relative_heights(reading: ReadingOptions, ground: GroundOptions | None = None) -> list[str]:
+    """A sentence on all heights if the take-off is the level of reference; over ground above a datum, a doubt."""
+    from jaxgeo.io.acquisitions.sentences import DOUBT
+
+    if not reading.is_above_takeoff:
+        return []
+    if ground is None or has_no_datum(reading, ground):
+        return [
+            "With --takeoff-height 0 all heights are above the take-off, and above no datum; if it is at 0 m above "
+            "the ellipsoid, give --camera-datum ellipsoid too."
+        ]
+    known = "--ground" if ground.level is not None else "--dem"
+    way = "its height as --takeoff-height" if ground.level is not None else "--takeoff-height dem, or its height"
+    return [
+        f"{DOUBT}With --takeoff-height 0 the take-off is at 0 m above the ellipsoid, as heights of {known} are above a "
+        f"datum. Give {way}, unless it is there."
+    ]
 
 
 def _refuse_both(

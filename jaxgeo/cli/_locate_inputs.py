@@ -14,12 +14,12 @@ import jaxgeo
 from jaxgeo._destination import check_no_input
 from jaxgeo._refusals import is_refusal
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._acquisitions import print_unread, reading_files
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
-from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._known_heights import has_no_datum, relative_heights, with_known_heights
 from jaxgeo.cli._level_ground import ground_doubts
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
@@ -125,23 +125,13 @@ def inputs_of(
         each = [_sources(batch, observed.source, options) for batch in observed.batches]
         observed = observed.with_sources([found for found, _ in each])
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
-    assumed += [*ground_doubts(observed, ground), *_relative_heights(options.reading)]
+    assumed += [*ground_doubts(observed, ground), *relative_heights(options.reading, ground)]
+    is_above_takeoff = has_no_datum(options.reading, ground)
+    observed = dataclasses.replace(observed, is_above_takeoff=is_above_takeoff)
     if check is not None:
         check(observed, bool(with_errors))
     whole |= vertices is not None
     return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed, vertices)
-
-
-def _relative_heights(reading: ReadingOptions) -> list[str]:
-    """A sentence on all heights if the take-off is the level of reference: at 0 m above no datum that is named."""
-    from jaxgeo.io.acquisitions.sentences import DOUBT
-
-    if reading.height_datum is not None or number_in(reading.takeoff_height or "") != 0.0:
-        return []
-    return [
-        f"{DOUBT}With --takeoff-height 0 all heights, those of fixes too, are relative to the take-off, unless it is "
-        f"at 0 m above the ellipsoid: what is said to be above the ellipsoid or mean sea level is not."
-    ]
 
 
 def states_errors(options: LocateOptions) -> bool | None:

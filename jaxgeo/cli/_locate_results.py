@@ -92,6 +92,8 @@ def fixes_as_computed(inputs: LocateInputs) -> Iterator[Fix]:
 
 def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width: int) -> NumberTable:
     """Table of fixes for the terminal, with the columns that fit."""
+    from jaxgeo.io.tables import ABOVE_TAKEOFF
+
     first, is_wide = rows[0], width >= WIDE
     columns: dict[str, tuple[str, str]] = {}
     if "name" in first:
@@ -107,11 +109,12 @@ def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width
     columns |= {
         "fix_lat_deg": ("lat, deg", ".7f"),
         "fix_lon_deg": ("lon, deg", ".7f"),
-        "fix_height_m": ("height", ".2f"),
     }
+    has_datum = ABOVE_TAKEOFF not in first
+    columns |= {"fix_height_m" if has_datum else ABOVE_TAKEOFF: ("height", ".2f")}
     if is_wide or probability is None:
-        columns |= {"fix_height_msl_m": ("msl", ".2f"), "slant_range_m": ("range", ".1f")}
-        columns |= {"incidence_surface_deg": ("inc.", ".1f")}
+        columns |= {"fix_height_msl_m": ("msl", ".2f")} if has_datum else {}
+        columns |= {"slant_range_m": ("range", ".1f"), "incidence_surface_deg": ("inc.", ".1f")}
     if probability is not None:
         percent = f"{100.0 * probability:.10g}"
         column = percent.replace(".", "_")
@@ -141,8 +144,10 @@ def _times_of(rows: Sequence[dict[str, Any]]) -> tuple[list[Any], str]:
 
 def _caption(columns: Container[str], probability: float | None, day: str = "") -> str:
     """Units and datums of the columns of a table of fixes."""
+    from jaxgeo.io.tables import ABOVE_TAKEOFF
+
     of_time = [f"time: on {day}"] if day and "time" in columns else []
-    words = ["height: m above WGS 84"]
+    words = ["height: m above the take-off" if ABOVE_TAKEOFF in columns else "height: m above WGS 84"]
     if "fix_height_msl_m" in columns:
         words = ["height, msl: m above WGS 84 and EGM96 mean sea level"]
     words = [*of_time, *words]

@@ -18,7 +18,7 @@ from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
 from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
-from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._known_heights import has_no_datum, with_known_heights
 from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
@@ -85,7 +85,8 @@ def footprint_command(
         check_ground(ground)
         check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
         exposures, rows, outlines, terrain = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
-        _show(exposures, rows, outlines, inputs if as_json else None)
+        height = "height_above_takeoff_m" if has_no_datum(how, ground) else "height_m"
+        _show(exposures, rows, outlines, inputs if as_json else None, height)
     if not any(row["status"] == HIT for row in rows):
         print_unseen("no footprint is complete", terrain, exposures.exposures[0].shot)
         raise typer.Exit(NO_ANSWER)
@@ -106,7 +107,7 @@ def _footprint(
     """(exposures, table rows, footprints, terrain), written to `output` if given."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
-    from jaxgeo.io.footprints import check_footprint_file
+    from jaxgeo.io.footprints import check_footprint_file, check_is_flat
 
     compile_quickly()
     enable_x64()
@@ -116,6 +117,8 @@ def _footprint(
     found = given.read(how, "a footprint without --shots", ground)
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:
+        if has_no_datum(how, ground):
+            check_is_flat(output, crs)
         note_far_crs(crs, found.exposures[0].shot)
         check_footprint_file(output, crs, attributes, len(found.exposures))
     terrain = None if ground.level is not None else read_terrain(ground.dem or [], ground, found.view)
@@ -131,16 +134,20 @@ def _footprint(
 
 
 def _show(
-    exposures: GivenExposures, rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any] | None
+    exposures: GivenExposures,
+    rows: list[dict[str, Any]],
+    outlines: list[Any],
+    inputs: dict[str, Any] | None,
+    height: str,
 ) -> None:
-    """Print a table, or with `inputs` the full result as JSON; status counts on stderr."""
+    """Print a table, or with `inputs` the full result as JSON, with heights by a name; status counts on stderr."""
     from jaxgeo.io.footprints import WHOLE
 
     names = [row["status"] for row in rows]
     print_counts({name: names.count(name) for name in names}, len(names), "footprint", WHOLE)
     if inputs is not None:
         each = zip(rows, outlines, strict=True)
-        content = [{**row, **status_words(one.status, WHOLE), "outline": _places(one)} for row, one in each]
+        content = [{**row, **status_words(one.status, WHOLE), "outline": _places(one, height)} for row, one in each]
         print_json("footprint", {"inputs": inputs, "footprints": content, "unread": exposures.unread})
         return
     other = "shot" if exposures.are_named else "name"
@@ -151,13 +158,13 @@ def _show(
     Console(width=None if Console().is_terminal else 160).print(number_table(rows, columns, caption))
 
 
-def _places(outline: Any) -> list[dict[str, Any]]:
-    """Ground points of the image edge: clockwise in the image, from its upper left corner."""
+def _places(outline: Any, height: str) -> list[dict[str, Any]]:
+    """Ground points of the image edge: clockwise in the image, from its upper left corner; `height` names theirs."""
     import numpy as np
 
     numbers = zip(*(np.asarray(one) for one in outline.fix.position.to_degrees()), strict=True)
     each = zip(np.asarray(outline.uv), numbers, np.asarray(outline.hidden), strict=True)
-    names = ("lat_deg", "lon_deg", "height_m")
+    names = ("lat_deg", "lon_deg", height)
     return [
         {"u": u, "v": v, **dict(zip(names, place, strict=True)), "jumps_to_next": bool(hidden)}
         for (u, v), place, hidden in each

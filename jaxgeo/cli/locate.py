@@ -189,6 +189,7 @@ def _locate_all(
             reasons=inputs.reasons,
             rings=None if outlines is None else outlines.rings,
             style=writing.style,
+            is_above_takeoff=inputs.observed.is_above_takeoff,
             **writing.drawn,
         )
         print_written(writing.output)
@@ -309,6 +310,7 @@ def _check_file(writing: OutputOptions, probability: float, observed: jaxgeo.io.
         mgrs=writing.mgrs,
         reasons=observed.reasons_by(reason_not_read),
         probability=probability if has_errors else None,
+        is_above_takeoff=observed.is_above_takeoff,
     )
 
 
@@ -332,9 +334,10 @@ def _rows(inputs: LocateInputs, counts: Counter[str]) -> Iterator[Row]:
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
-    columns = iter(inputs.observed.columns)
+    columns, is_above_takeoff = iter(inputs.observed.columns), inputs.observed.is_above_takeoff
     for fixes in fixes_as_computed(inputs):
-        for row in fix_rows(fixes, height_msl(fixes)):
+        msl = None if is_above_takeoff else height_msl(fixes)
+        for row in fix_rows(fixes, msl, is_above_takeoff=is_above_takeoff):
             counts[row["status"]] += 1
             yield {**next(columns), **row}
 

@@ -21,6 +21,7 @@ from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._features import Feature, has_heights
 from jaxgeo.io._geopackage import check_vector_driver, one_layer
 from jaxgeo.io._kml import Placemark, as_file, kml
+from jaxgeo.io._map_crs import flat_map_crs
 from jaxgeo.io._outlines import line, outline, runs
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
 from jaxgeo.io._qgis import qml
@@ -142,6 +143,11 @@ def check_footprint_file(
     target = pathlib.Path(path)
     _checked_attributes(target, attributes, count)
     checked_map(target, crs, _driver(target))
+
+
+def check_is_flat(path: str | os.PathLike[str], crs: Any) -> None:
+    """Raises `ValueError` for a CRS with heights, for footprints whose heights are above no datum."""
+    flat_map_crs(f"{pathlib.Path(path)}", crs, None, None)
 
 
 def _seen(footprint: Footprint) -> _Seen:

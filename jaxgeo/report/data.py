@@ -15,6 +15,7 @@ from jaxgeo.earth import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.io.located import axis_of, take_rows, terrain_at
 from jaxgeo.io.observations import Observations
+from jaxgeo.io.tables import ABOVE_TAKEOFF
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import have_fix
 from jaxgeo.terrain import AbstractTerrain
@@ -31,7 +32,8 @@ class ReportData:
     `axes`, for (sensor, shots, uv, terrain, errors), is 0 if there is an entry per pixel and None if one is shared.
     `errors` are error sources or an `ErrorModel`, or None; `accuracy` is None without errors or without any fix.
     `labels` hold a `name` or table columns per pixel. `looks` replaces `look` if exposures have no common structure
-    (several cameras); `sensor` and `errors` are then those of the first.
+    (several cameras); `sensor` and `errors` are then those of the first. `is_above_takeoff`: whether heights are above
+    a take-off whose own height is unknown.
     """
 
     sensor: Sensor
@@ -46,6 +48,22 @@ class ReportData:
     probability: float = 0.9
     labels: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
     looks: Callable[[int], tuple[Any, ...]] | None = None
+    is_above_takeoff: bool = False
+
+    @property
+    def height_column(self) -> str:
+        """The column of a fix with its height."""
+        return ABOVE_TAKEOFF if self.is_above_takeoff else "fix_height_m"
+
+    @property
+    def above(self) -> str:
+        """What heights are above, in words."""
+        return "above the take-off" if self.is_above_takeoff else "above the WGS 84 ellipsoid"
+
+    @property
+    def above_in_short(self) -> str:
+        """`above` for charts and maps."""
+        return "above the take-off" if self.is_above_takeoff else "above WGS 84"
 
     @classmethod
     def of(
@@ -115,6 +133,7 @@ class ReportData:
             probability,
             [observed.columns[row] for row in rows],
             None if looks is None else looks.__getitem__,
+            observed.is_above_takeoff,
         )
 
     def __len__(self) -> int:
