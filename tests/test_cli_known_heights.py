@@ -7,6 +7,7 @@ import pathlib
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 import rasterio
 from support.command_files import LAT, LON, prepare
@@ -18,8 +19,11 @@ import jaxgeo
 from jaxgeo.cli import app
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._options import DemOptions
+from jaxgeo.cli._takeoff_sigma import FirstExposure, TakeoffSigma, doubt_of, takeoff_sigma
+from jaxgeo.uncertainty import sources
 
 IMAGE = "DJI_0042.JPG --takeoff-height dem --dem dem.tif"
 LOG = f"flight.csv --takeoff-height dem --dem dem.tif --camera {CAMERA}"
@@ -231,3 +235,92 @@ def test_the_viewer_says_what_heights_are_above(here: pathlib.Path) -> None:
     known = _heights({"fix_height_m": 2.5, "fix_height_msl_m": -30.0})
     assert known["height_text"].endswith("above the WGS 84 ellipsoid")
     assert "EGM96" in known["msl_text"]
+
+
+SLOPE_EAST, SLOPE_NORTH = 0.3, -0.4  # of the plane
+
+
+class Plane:
+    """Ground of a constant slope."""
+
+    @staticmethod
+    def normal_at(place: jaxgeo.Geodetic) -> np.ndarray:
+        upward = np.array([-SLOPE_EAST, -SLOPE_NORTH, 1.0])
+        return upward / np.linalg.norm(upward)
+
+    @staticmethod
+    def height_at(place: jaxgeo.Geodetic) -> float:
+        return 400.0
+
+
+def first(*given: Any, is_usual: bool = True) -> FirstExposure:
+    return FirstExposure("a.jpg", LAT, LON, given, is_usual)
+
+
+def test_the_take_off_is_as_sure_as_the_model_and_the_place_on_its_slope() -> None:
+    """By NumPy, from the gradient of the plane and the covariance of the position."""
+    position = sources.Position.from_ned(north=2.0, east=6.0, down=1.0)
+    covariance, gradient = np.diag([2.0**2, 6.0**2]), np.array([SLOPE_NORTH, SLOPE_EAST])
+    by_slope = float(np.sqrt(gradient @ covariance @ gradient))
+    found = takeoff_sigma(Plane, first(position), Sigmas())
+    assert found == pytest.approx((5.0, by_slope))
+    assert found.total == pytest.approx(np.sqrt(25.0 + by_slope**2))
+    stated = takeoff_sigma(Plane, first(position, sources.TerrainHeight.from_metres(2.5)), Sigmas())
+    assert stated.of_model == pytest.approx(2.5)
+    several = sources.TerrainField.of_variograms(gaussian=[(3.0, 100.0)], spherical=[(4.0, 500.0)])
+    assert takeoff_sigma(Plane, first(position, several), Sigmas()).of_model == pytest.approx(5.0)
+    typed = takeoff_sigma(Plane, first(position), Sigmas(dem=0.5, position="1"))
+    assert typed == pytest.approx((0.5, np.hypot(SLOPE_NORTH, SLOPE_EAST)))
+
+
+def test_a_stated_sigma_of_the_height_that_is_too_small_is_named() -> None:
+    position = sources.Position.from_ned(north=2.0, east=6.0, down=1.0)
+    sigma = TakeoffSigma(5.0, 2.0)
+    assert doubt_of(sigma, first(position), Sigmas()) is None, "a default one gets the take-off's"
+    for given, typed in ((first(position, is_usual=False), Sigmas()), (first(position), Sigmas(position="2,6,1"))):
+        said = doubt_of(sigma, given, typed) or ""
+        way = re.search(r"--position-sigma (\S+)$", said)
+        assert way is not None
+        assert doubt_of(sigma, given, Sigmas(position=way[1])) is None
+        assert float(way[1].split(",")[2]) == pytest.approx(np.hypot(1.0, sigma.total), abs=0.1)
+    assert doubt_of(sigma, first(position), Sigmas(position="9")) is None
+
+
+@pytest.mark.costly
+def test_the_accuracy_has_the_error_of_the_take_off(here: pathlib.Path) -> None:
+    """The same figures as with the sigma of the height typed: root of the sum of squares with the default 5 m."""
+    prepare(here, f"locate {IMAGE}")
+    line = f"locate {IMAGE} --dem-sigma 4 --json"
+    found = run(line)
+    assert found.exit_code == 0, found.output
+    said = re.search(
+        r"Its sigma is ([0-9.]+) m: 4 m of the elevation model, ([0-9.]+) m", " ".join(found.stderr.split())
+    )
+    assert said is not None
+    total, by_slope = float(said[1]), float(said[2])
+    assert total == pytest.approx(np.hypot(4.0, by_slope), abs=0.01)
+    dem, off = jaxgeo.io.example_dem(), 1e-6  # rad
+    at = lambda lat, lon: float(dem.height_at(jaxgeo.Geodetic(lat=lat, lon=lon, height=0.0)))  # noqa: E731
+    lat, lon = np.deg2rad([LAT, LON])
+    per_north = (at(lat, lon) - at(lat - off, lon)) / (off * 6_371_000.0)
+    per_east = (at(lat, lon) - at(lat, lon - off)) / (off * 6_371_000.0 * np.cos(lat))  # the place is between two cells
+    assert by_slope == pytest.approx(3.0 * np.hypot(per_north, per_east), rel=0.02)
+    down = np.hypot(5.0, np.hypot(4.0, 3.0 * np.hypot(per_north, per_east)))
+    typed = run(f"{line} --position-sigma 3,3,{down:.6f}")
+    without = run(f"locate DJI_0042.JPG --takeoff-height {height_at(LAT, LON):.3f} --dem dem.tif --dem-sigma 4 --json")
+    radii = [json.loads(one.stdout)["fixes"][0]["ce90_m"] for one in (found, typed, without)]
+    assert radii[0] == pytest.approx(radii[1], rel=5e-3)
+    assert radii[0] > 1.05 * radii[2]
+
+
+def test_a_sigma_of_no_take_off_is_refused(here: pathlib.Path) -> None:
+    prepare(here, "locate DJI_0042.JPG")
+    read = jaxgeo.io.read_acquisition
+    assert read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=2.0).takeoff_sigma == 2.0
+    found = jaxgeo.io.with_usual_errors(read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=12.0))
+    assert any("3, 3, 13 m (N, E, D; default, with 12 m of the take-off)" in one for one in found.assumed)
+    with pytest.raises(jaxgeo.io.TableError, match="takeoff_sigma= is that of takeoff_height="):
+        read("DJI_0042.JPG", height_datum="ellipsoid", takeoff_sigma=2.0)
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(jaxgeo.io.TableError, match="takeoff_sigma= must be 0 m or more, and finite"):
+            read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=wrong)

@@ -170,6 +170,17 @@ class ReadingOptions(OptionGroup):
         return arguments
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KnownHeights(ReadingOptions):
+    """Reading options with the take-off on the elevation model as a number, and its standard deviation in m."""
+
+    takeoff_sigma: float = 0.0
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        return super().arguments | {"takeoff_sigma": self.takeoff_sigma}
+
+
 def _of_prj(path: str) -> tuple[str, str]:
     """(the CRS of a .prj file as text, its name). Raises `UserError`."""
     from jaxgeo.io._prj import name_of, read_prj, text_of

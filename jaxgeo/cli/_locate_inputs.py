@@ -109,7 +109,8 @@ def inputs_of(
     """`read_inputs` without messages, but of a take-off on the elevation model."""
     options.check()
     ground = options.ground
-    reading = with_known_heights(options.reading, options.files, options.of_images.scene, ground.dem or [], ground)
+    scene = options.of_images.scene
+    reading = with_known_heights(options.reading, options.files, scene, ground.dem or [], ground, options.sigmas)
     options = dataclasses.replace(options, reading=reading)
     if with_errors is None and options.of_images.shots is None:
         with_errors = not options.is_scene or bool(options.sigmas.given) or None
