@@ -26,6 +26,7 @@ from jaxgeo.cli._screen import number_table, print_counts, print_written, track
 from jaxgeo.cli._unseen_ground import print_unseen
 
 HIT = "hit"  # the status of a whole footprint
+COVERED = "covered_share"  # column of a file
 STYLED = (".geojson", ".json", ".gpkg")
 ENDINGS = (*STYLED, ".kml", ".kmz")
 COLUMNS = {
@@ -128,6 +129,7 @@ def _footprint(
         outlines.append(outline)
         rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
+        attributes = [one | {COVERED: _covered(row)} for one, row in zip(attributes, rows, strict=True)]
         write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
         print_written(output)
     return found, rows, outlines, terrain
@@ -183,12 +185,17 @@ def _footprint_of(one: GivenExposure, terrain: Any, tolerance: float) -> tuple[A
     pixel = ground_sample_distance(one.sensor, one.shot, middle, terrain, atmosphere=air)
     sizes = {f"{name}_m": _known(getattr(pixel, name)) for name in ("columns", "rows", "along", "across")}
     area = _known(1e-6 * outline.area)
-    row = {"area_km2": area, "covered_area_km2": None, "covered_share": None}
+    row = {"area_km2": area, "covered_area_km2": None, COVERED: None}
     if not outline.ok:
         part = covered_part(one.sensor, one.shot, terrain, atmosphere=air, projection=outline.projection)
         row |= {"covered_area_km2": 1e-6 * part.area, "covered_share": part.share} if part.share else {}
     row |= {"hidden_m": _known(outline.hidden_length), **sizes}
     return outline, {**row, "status": Status(int(outline.status)).name}
+
+
+def _covered(row: dict[str, Any]) -> float:
+    """Share of an image that sees known ground, 0 to 1."""
+    return 1.0 if row["status"] == HIT else row[COVERED] or 0.0
 
 
 def _known(number: Any) -> float | None:
@@ -200,6 +207,6 @@ def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
     from jaxgeo.io.footprints import TAKEN
 
     rows = list(carried)
-    kept = [name for name in rows[0] if name.lower() not in TAKEN]
+    kept = [name for name in rows[0] if name.lower() not in (*TAKEN, COVERED)]
     columns = {name: numbers_or_texts([row[name] for row in rows]) for name in kept}
     return [{name: columns[name][index] for name in kept} for index in range(len(rows))]
