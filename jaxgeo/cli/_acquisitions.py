@@ -63,8 +63,9 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--camera",
             metavar="CAMERA",
-            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), Pix4D's .cam, "
-            "OpenSfM's .json, or the NAME of a camera in the file (drone images: in the camera table).",
+            help="Camera: focal=8.8mm,pitch=2.41um, focal=3666px or film=24mm (35 mm equivalent), for logs and videos "
+            "with size=5472x3648; a camera or scene file (.toml), Pix4D's .cam, OpenSfM's .json, or the NAME of a "
+            "camera in the file (drone images: in the camera table).",
         ),
     ] = None
     gimbal: Annotated[

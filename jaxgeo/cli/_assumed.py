@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxgeo.uncertainty import Accuracy
 
 OF_SIGMA = re.compile(r"\((--[a-z]+-sigma)\)")  # at the end of a sentence: the option that replaces the default
+_said: list[str] = []  # sentences of this run, for its JSON object
 MOST = 0.5  # share of the horizontal variance from which the assumed standard deviations are said to dominate
 LEAST = 0.1  # share from which one of them is named
 NAMED = {
@@ -33,11 +34,22 @@ OF_SOURCE = {
 }
 
 
+def forget_assumed() -> None:
+    """Begin a new run."""
+    _said.clear()
+
+
+def with_said(assumed: Sequence[str]) -> list[str]:
+    """The sentences, and those of this run that are not among them."""
+    return [*assumed, *dict.fromkeys(one for one in _said if one not in assumed)]
+
+
 def print_assumed(sentences: Sequence[str]) -> None:
     """Print assumptions as notes: one for the default standard deviations, with their options, one for each input that
-    contradicts itself, one for all others."""
+    contradicts itself, one for all others. The JSON object of the run has them too."""
     from jaxgeo.io.acquisitions.sentences import DOUBT
 
+    _said.extend(sentences)
     doubts = [one for one in sentences if one.startswith(DOUBT)]
     sentences = [one for one in sentences if one not in doubts]
     sigmas = [one for one in sentences if OF_SIGMA.search(one) or " sigma: " in one]

@@ -15,11 +15,11 @@ from jaxgeo._checks import enable_x64
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, KnownHeights, ReadingOptions, reading_files
 from jaxgeo.cli._archive_dem import is_archive
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import bounds_in, check_goes_with_dem, open_terrain, read_terrain
 from jaxgeo.cli._options import READING, DemOptions
-from jaxgeo.cli._screen import print_note
 from jaxgeo.cli._takeoff_sigma import FirstExposure, doubt_of, takeoff_sigma
 from jaxgeo.earth import Geodetic
 from jaxgeo.uncertainty.sources import Position
@@ -101,12 +101,9 @@ def with_known_heights(
         )
     sigmas = Sigmas() if sigmas is None else sigmas
     sigma = takeoff_sigma(terrain, first, sigmas)
-    print_note(
-        f"assumed: The take-off is at {height:.2f} m above the ellipsoid, as the ground under {name}. {sigma.words}"
-    )
+    found = f"The take-off is at {height:.2f} m above the ellipsoid, as the ground under {name}. {sigma.words}"
     doubt = doubt_of(sigma, first, sigmas)
-    if doubt is not None:
-        print_note(doubt)
+    print_assumed([found] if doubt is None else [found, doubt])
     known: dict[str, Any] = {field.name: getattr(reading, field.name) for field in dataclasses.fields(ReadingOptions)}
     known |= {"takeoff_height": f"{height:.3f}", "takeoff_sigma": sigma.total}
     return KnownHeights(**known)

@@ -77,12 +77,14 @@ def position_sigma(first: FirstExposure, sigmas: Sigmas) -> tuple[float, float, 
 
 def doubt_of(sigma: TakeoffSigma, first: FirstExposure, sigmas: Sigmas) -> str | None:
     """A sentence if a stated standard deviation of the camera's height is below that of the take-off in it."""
+    from jaxgeo.io.acquisitions.sentences import DOUBT
+
     north, east, down = position_sigma(first, sigmas)
     if (first.is_usual and sigmas.position is None) or not north + east + down or down >= sigma.total:
         return None
     better = math.ceil(10.0 * math.hypot(down, sigma.total)) / 10.0
     return (
-        f"check: The stated sigma of the camera's height, {down:g} m, is below that of the take-off, which it has to "
+        f"{DOUBT}The stated sigma of the camera's height, {down:g} m, is below that of the take-off, which it has to "
         f"contain. Give --position-sigma {north:g},{east:g},{better:g}"
     )
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._assumed import print_assumed
+from jaxgeo.cli._assumed import print_assumed, with_said
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import Sigmas as SigmasOfPixels
@@ -94,6 +94,7 @@ def register_command(
             inputs |= {"sigmas": given}
             with new_results(output):
                 content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
+                content |= {"assumed": with_said(errors.assumed)}
                 content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
                 write_registration_report(output / "report.json", content)
         print_written(output)
