@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from support.command_files import LAT, LON, prepare
+from support.command_files import DJI, LAT, LON, prepare
 from support.command_runner import CliRunner
+from support.drone_image_files import FULL, packet, write_image
 from test_cli_dem import commands_with
 from test_cli_flights import CAMERA, log
 
@@ -169,6 +170,14 @@ def test_datums_that_nobody_states_are_asked_for_at_once(here: pathlib.Path) -> 
         ),
         ("footprint DJI_0042.JPG --takeoff-height 900 --ground 100", "take-off is 800 m above --ground 100"),
         (
+            "footprint DJI_0042.JPG --camera-datum ellipsoid --ground 100 --dem-datum EPSG:5773",
+            "the wrong one, --takeoff-height 100 --camera-datum EPSG:5773 in place of --camera-datum ellipsoid",
+        ),
+        (
+            "locate DJI_0042.JPG --no-accuracy --camera-datum ellipsoid --ground 100",
+            "the wrong one, --takeoff-height 100 in place of --camera-datum ellipsoid",
+        ),
+        (
             "locate flight.klv --no-accuracy --ground 1000",
             "frame centre 7[0-9]+ m below --ground 1000",
         ),
@@ -191,6 +200,10 @@ def test_level_ground_far_from_what_the_files_report_is_doubtful(line: str, word
         assert re.search(words, one)
         for way in re.findall(r"Give (--ground \d+)", one):
             assert "check: " not in run(f"{line.partition(' --ground')[0]} {way}").stderr
+        for way, left_out in re.findall(
+            r"the wrong one, (--takeoff-height .*?) in place of (--camera-datum \S+)\.$", one
+        ):
+            assert "check: The take-off" not in run(line.replace(left_out, way)).stderr
         assert "Give" in one or "take-off" in words
 
 
@@ -324,3 +337,45 @@ def test_a_sigma_of_no_take_off_is_refused(here: pathlib.Path) -> None:
     for wrong in (-1.0, float("nan"), float("inf")):
         with pytest.raises(jaxgeo.io.TableError, match="takeoff_sigma= must be 0 m or more, and finite"):
             read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=wrong)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize(
+    "ground, datum",
+    [
+        ("--dem dem.tif", "--camera-datum ellipsoid"),
+        ("--dem dem.tif", "--takeoff-height 100"),
+        ("--ground 320", "--camera-datum ellipsoid"),
+        ("--ground 320 --dem-datum EPSG:5773", "--camera-datum ellipsoid"),
+    ],
+)
+def test_a_wrong_altitude_of_an_image_is_replaced_as_printed(ground: str, datum: str, here: pathlib.Path) -> None:
+    """The image is 99.9 m above the take-off, but by its altitude below the terrain."""
+    prepare(here, "locate --dem dem.tif")
+    write_image(here / "DJI_0042.JPG", packet(DJI | {"drone-dji:AbsoluteAltitude": "+200.0"}), make="DJI", size=FULL)
+    line = f"locate DJI_0042.JPG --no-accuracy {ground} {datum}"
+    refused = run(line)
+    assert refused.exit_code == 1, refused.output
+    said = re.search(
+        r"m higher\. If the height of the camera is the wrong one \(99\.9 m above the take-off by the file\), "
+        r"give (.*?) in place of (.*)\.$",
+        " ".join(refused.stderr.split("jaxgeo: no pixel")[0].split()),
+    )
+    assert said is not None, refused.stderr
+    assert said[2] == datum
+    done = run(line.replace(datum, said[1]))
+    assert done.exit_code == 0, done.output
+    assert "1 hit" in " ".join(done.stderr.split())
+
+
+@pytest.mark.costly
+def test_a_wrong_height_of_a_scene_is_corrected_where_it_is(here: pathlib.Path) -> None:
+    prepare(here, "locate --scene scene.toml --dem dem.tif shots.csv")
+    scene, shots = here / "scene.toml", here / "shots.csv"
+    scene.write_text(scene.read_text().replace("height_m = 5500.0", "height_m = 55.0"))
+    line = "locate --scene scene.toml --dem dem.tif --no-accuracy"
+    refused = " ".join(run(f"{line} --pixel 1200,2400").stderr.split())
+    assert "If the height of the camera is the wrong one, correct height_m in scene.toml." in refused
+    shots.write_text(shots.read_text().replace(",5500,", ",55,"))
+    refused = " ".join(run(f"{line} --shots shots.csv --format table").stderr.split())
+    assert "the wrong one, correct the column height_m of shots.csv." in refused

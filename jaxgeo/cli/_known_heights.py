@@ -109,6 +109,23 @@ def with_known_heights(
     return KnownHeights(**known)
 
 
+def takeoff_instead(reading: ReadingOptions, ground: GroundOptions) -> str | None:
+    """The options by which heights above the take-off replace the altitudes of files, with those to leave out; None if
+    they do so already."""
+    given = [f"--camera-datum {reading.height_datum}"] if reading.height_datum is not None else []
+    if isinstance(reading, KnownHeights) or (reading.takeoff_height is not None and not ground.dem):
+        return None
+    given += [f"--takeoff-height {reading.takeoff_height}"] if reading.takeoff_height is not None else []
+    if ground.dem:
+        typed = f"--takeoff-height {TAKEOFF_ON_DEM}"
+    elif number_in(ground.level or "") is None:
+        return None
+    else:
+        datum = "" if ground.vertical_datum is None else f" --camera-datum {ground.vertical_datum}"
+        typed = f"--takeoff-height {ground.level}{datum}"
+    return typed + (f" in place of {' and '.join(given)}" if given else "")
+
+
 def has_no_datum(reading: ReadingOptions, ground: GroundOptions) -> bool:
     """Whether heights, those of level ground too, are above a take-off whose own height is unknown."""
     is_level = number_in(ground.level or "") is not None and ground.vertical_datum is None

@@ -185,7 +185,8 @@ def exit_without_fix(inputs: LocateInputs, fixes: Fix) -> None:
 
 
 def below_terrain(inputs: LocateInputs, fixes: Fix) -> str | None:
-    """Heights of the first camera that is below the terrain, and of the ground there; None if there is none."""
+    """Heights of the first camera that is below the terrain, and of the ground there, with how the camera's is
+    replaced; None if there is none."""
     for batch, terrain in zip(inputs.observed.batches, inputs.grounds, strict=True):
         (below,) = np.nonzero(np.asarray(fixes.status)[batch.rows] == Status.camera_below_terrain)
         if not below.size or not isinstance(terrain, Dem | ConstantHeight):
@@ -194,7 +195,13 @@ def below_terrain(inputs: LocateInputs, fixes: Fix) -> str | None:
         at = lambda x, first=first: np.asarray(x)[first] if np.ndim(x) else x  # noqa: E731
         position = jax.tree.map(at, batch.shots.pose.position)
         ground = jax.tree.map(at, terrain) if isinstance(terrain, ConstantHeight) else terrain
-        return heights_of_camera_and_ground(position, ground)
+        both = heights_of_camera_and_ground(position, ground)
+        above = np.nan if batch.above_takeoff is None else float(batch.above_takeoff[first])
+        way = inputs.other_height.always or (inputs.other_height.by_takeoff if above > 0.0 else "")
+        if both is None or not way:
+            return both
+        known = f" ({above:.1f} m above the take-off by the file)" if above > 0.0 else ""
+        return f"{both} If the height of the camera is the wrong one{known}, {way}."
     return None
 
 
