@@ -16,7 +16,7 @@ import typer
 import jaxgeo
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._assumed import assumed_shares, told_shares
+from jaxgeo.cli._assumed import assumed_shares, assumed_shares_of_files, told_shares
 from jaxgeo.cli._cluster import PartsOptions, print_missing, report_failed_parts
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -234,12 +234,17 @@ def _locate_on_cluster(
     print_missing(run)
     print_written(folder)
     print_counts(counts, len(observed))
+    shares = assumed_shares_of_files(inputs, [folder / name for name in run.parts], probability)
+    said = told_shares(shares, probability, count=len(observed))
+    if said is not None:
+        print_note(said)
     if as_json:
         print_json(
             "locate",
             {
                 "inputs": options.inputs | {"cluster": many.cluster, "output": folder},
                 "assumed": inputs.assumed,
+                "assumed_variance_shares": shares,
                 "parts": list(run.parts),
                 "computed": run.computed,
                 "statuses": counts,
