@@ -176,7 +176,9 @@ def as_array(value: Any, name: str) -> Any:
 
 
 def _check_is_array(value: Any, name: str) -> None:
-    """Raise `TypeError` for a mapping, None, a set and the like, in place of numbers."""
+    """Raise `TypeError` for a mapping, a set and the like, in place of numbers; None may be a value not given."""
+    if value is None:
+        return
     if isinstance(value, Mapping):
         keys = [repr(key) for key in value]
         given = ", ".join(f"given[{key}]" for key in keys)
