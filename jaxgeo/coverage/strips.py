@@ -226,7 +226,7 @@ def side_overlap(one: StripOutline, other: StripOutline, *, scans: int = SCANS) 
     >>> outlines = [coverage.strip_outline(sensor, strip(lon), ground, **at) for lon in (11.0, 11.008)]
     >>> found = coverage.side_overlap(*outlines)
     >>> print(f"{found.spacing:.0f} m apart: {found.least:.3f}")
-    608 m apart: 0.392
+    608 m apart: 0.391
     """
     if scans < 2:
         raise ValueError(f"scans must be at least 2; got {scans}.")
