@@ -92,6 +92,7 @@ def li2023_command(
         many.check()
         _begin(output)
         from jaxgeo.studies import li2023
+        from jaxgeo.studies.li2023.report import SAMPLES
 
         def run() -> Any:
             if many.cluster is None:
@@ -110,7 +111,7 @@ def li2023_command(
                         f"name another folder, or remove it."
                     ) from error
 
-        is_usual = many.cluster is None and samples == li2023.report.SAMPLES
+        is_usual = many.cluster is None and samples == SAMPLES
         _show(li2023, run, output, inputs if as_json else None, is_usual)
 
 
