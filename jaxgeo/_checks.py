@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -165,13 +165,29 @@ def _shown(value: np.ndarray) -> str:
 def as_array(value: Any, name: str) -> Any:
     """Numbers, some perhaps traced, in a list or tuple, or in lists of lists, as one array; anything else as it is.
 
-    Raises `TypeError` for a text.
+    Raises `TypeError` for a text, a mapping, and other objects that are no numbers.
     """
     check_no_text(value, name)
     if not isinstance(value, list | tuple):
+        _check_is_array(value, name)
         return value
     parts = [as_float64(as_array(part, f"{name}[{k}]"), f"{name}[{k}]") for k, part in enumerate(value)]
     return jnp.stack(parts) if parts else jnp.zeros(0)
+
+
+def _check_is_array(value: Any, name: str) -> None:
+    """Raise `TypeError` for a mapping, a set and the like, in place of numbers; None may be a value not given."""
+    if value is None:
+        return
+    if isinstance(value, Mapping):
+        keys = [repr(key) for key in value]
+        given = ", ".join(f"given[{key}]" for key in keys)
+        raise TypeError(
+            f"{name} must be numbers in order; got a {type(value).__name__} with the keys {', '.join(keys) or 'none'}. "
+            f"Give its values, as ({given})."
+        )
+    if not any(hasattr(value, one) for one in ("shape", "__array__", "__jax_array__", "__float__", "__index__")):
+        raise TypeError(f"{name} must be numbers; got {type(value).__name__}. Give an array, or a list of numbers.")
 
 
 def check_countable(count: int, what: str, remedy: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -100,3 +102,25 @@ def test_checks_let_tracers_pass():
         return x
 
     assert float(jax.jit(f)(jnp.asarray(5.0))) == 5.0
+
+
+@pytest.mark.parametrize(
+    "uv, said",
+    [
+        ({"u": 1.0, "v": 2.0}, r"uv must be numbers in order; got a dict with the keys 'u', 'v'\. Give its values, as "
+                               r"\(given\['u'\], given\['v'\]\)\."),
+        ({1.0, 2.0}, r"uv must be numbers; got set\. Give an array, or a list of numbers\."),
+        ([1.0, {2.0}], r"uv\[1\] must be numbers; got set\."),
+    ],
+)  # fmt: skip
+def test_what_is_no_number_is_refused_in_words(uv: Any, said: str) -> None:
+    with pytest.raises(TypeError, match=said):
+        as_array(uv, "uv")
+
+
+def test_the_values_of_a_dict_are_taken_as_the_message_has_them() -> None:
+    given = {"u": 1.0, "v": 2.0}
+    with pytest.raises(TypeError) as refused:
+        as_array(given, "uv")
+    way = str(refused.value).partition("Give its values, as ")[2].removesuffix(".")
+    assert np.array_equal(as_array(eval(way, {"given": given}), "uv"), [1.0, 2.0])

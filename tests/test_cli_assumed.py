@@ -212,3 +212,44 @@ def test_the_utm_zone_that_is_named_is_not_doubtful(command: str, image: pathlib
     told = CliRunner().invoke(app, [*line, "EPSG:32651"]).stderr
     (zone,) = re.findall(r"the usual CRS here is (EPSG:[0-9]+)", told)
     assert "usual CRS here" not in CliRunner().invoke(app, [*line, zone]).stderr
+
+
+OTHER = "inspect DJI_0042.JPG --camera-datum ellipsoid --json"
+SAID = [
+    "footprint DJI_0042.JPG --camera-datum ellipsoid --ground 300 --crs EPSG:32633 -o out.geojson",
+    "point DJI_0042.JPG --takeoff-height 300 --target 36.3155,-84.104,340 --target-datum ellipsoid",
+    "footprint images --takeoff-height 0 --ground 0",
+    "rectify image.tif --scene scene.toml --dem dem.tif --crs EPSG:32618 --resolution 60 -o out.tif",
+    "rectify DJI_0042.JPG --takeoff-height dem --dem dem.tif --resolution 5 -o out.tif",
+    "register image.tif --reference ortho.tif --scene scene.toml --dem dem.tif --position-sigma 20 "
+    "--attitude-sigma 0.3 -o out",
+]
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("line", SAID)
+def test_json_has_every_sentence_that_is_printed(
+    line: str, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of images and scenes, those of files, of defaults, and of what contradicts itself; of one run only."""
+    monkeypatch.chdir(tmp_path)
+    prepare(tmp_path, line)
+    prepare(tmp_path, OTHER)
+    before = CliRunner().invoke(app, OTHER.split())
+    result = CliRunner().invoke(app, [*line.split(), "--json"])
+    assert result.exit_code in (0, 1), result.output
+    assumed = json.loads(result.stdout)["assumed"]
+    assert len(assumed) == len(set(assumed))
+    kinds = ("jaxgeo: assumed: ", "jaxgeo: check: ")
+    printed = [one.split(": ", 2)[2] for one in result.stderr.splitlines() if one.startswith(kinds)]
+    if "-o out.geojson" in line or "32618" in line:
+        assert any("from the area of use of --crs" in one for one in printed), "a check"
+    for one in printed:
+        if not one.startswith("Standard deviations: "):
+            left = one
+            for sentence in sorted(assumed, key=len, reverse=True):
+                left = left.replace(sentence.removeprefix("Check: ").removesuffix("."), "")
+            assert not re.search(r"\w", left), left
+    if "register" in line:
+        assert json.loads((tmp_path / "out" / "report.json").read_text())["assumed"] == assumed
+    assert CliRunner().invoke(app, OTHER.split()).stdout == before.stdout, "nothing is left of the run before"

@@ -314,3 +314,27 @@ def test_workers_of_dask(tmp_path: pathlib.Path, flight: pathlib.Path) -> None:
     assert done.exit_code == 0, done.output
     assert "dashboard: http://" in done.stderr
     assert [row["status"] for row in rows(tmp_path / "fixes")] == ["hit", "hit", "file_not_read", "hit"]
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("ground", ["--ground", "--dem"])
+def test_the_shares_of_assumed_sigmas_are_those_of_one_machine(
+    tmp_path: pathlib.Path, flight: pathlib.Path, by_threads, ground: str
+) -> None:
+    """Of the same fix, the one with the median CE90, located over its part of the elevation model."""
+    FILES["dem.tif"](tmp_path / "dem.tif")
+    given = GROUND if ground == "--ground" else ["--camera-datum", "ellipsoid", "--dem", tmp_path / "dem.tif"]
+    line = ("locate", flight, *given, "--json")
+    many = run(*line, "--cluster", "local:2", "-o", tmp_path / "fixes")
+    assert many.exit_code == 0, many.output
+    alone = run(*line)
+    found, wanted = (json.loads(one.stdout)["assumed_variance_shares"] for one in (many, alone))
+    assert list(found) == list(wanted)
+    assert sum(wanted.values()) > 0.5
+    for name, share in wanted.items():
+        assert found[name] == pytest.approx(share, abs=2e-3)
+    said = [one for one in many.stderr.splitlines() if "comes mostly from assumed standard deviations" in one]
+    assert len(said) == 1
+    assert said == [one for one in alone.stderr.splitlines() if "comes mostly from assumed" in one]
+    stated = run(*line, "--no-accuracy", "--cluster", "local:2", "-o", tmp_path / "none")
+    assert json.loads(stated.stdout)["assumed_variance_shares"] == {}

@@ -9,6 +9,7 @@ import pathlib
 import re
 
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
 from rasterio.windows import from_bounds
@@ -578,3 +579,151 @@ def test_study_of_overlap(tmp_path: pathlib.Path, monkeypatch) -> None:
     assert "Compensation of attitude" not in result.stdout
     assert "Compensation of attitude" in (folder / "tables.md").read_text()
     assert {"tables.md", "overlaps.csv", "footprints.png", "folding.png"} <= {path.name for path in folder.iterdir()}
+
+
+NADIR = """
+[camera]
+focal_px = 1000.0
+width = 1000
+height = 800
+[gimbal]
+kind = "fixed"
+[mount]
+camera_looks = "down"
+"""
+STRIP_METRES = (111_000.0, 90_000.0)  # m per deg of latitude and longitude there, roughly
+
+
+def strips_scene(tmp_path: pathlib.Path, *, named: bool = False, tilted: bool = False) -> tuple[str, ...]:
+    """Arguments of two strips of four nadir images there and back, 600 m apart over 1000 m of relief-free ground."""
+    (tmp_path / "nadir.toml").write_text(NADIR)
+    rows = []
+    for number, (east, heading) in enumerate(((0.0, 0.0), (600.0, 180.0))):
+        for k in range(4)[:: 1 if not number else -1]:
+            lat, lon = 36.3 + 250.0 * k / STRIP_METRES[0], -84.25 + east / STRIP_METRES[1]
+            roll = 85.0 if tilted and (number, k) == (1, 2) else 0.0
+            rows.append(f"s{number}i{k},{lat:.8f},{lon:.8f},1500,{heading},0,{roll},ellipsoid,{'AB'[number]}")
+    column = "strip" if named else "remark"
+    (tmp_path / "strips.csv").write_text("\n".join([f"name,{POSE},height_datum,{column}", *rows]) + "\n")
+    return "--scene", str(tmp_path / "nadir.toml"), "--shots", str(tmp_path / "strips.csv"), "--ground", "500"
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("named", [False, True])
+def test_strips_have_forward_and_side_overlap(tmp_path: pathlib.Path, named: bool) -> None:
+    """Over level ground: 1 - step / length along, 1 - spacing / width across; the step from strip to strip is none."""
+    given = strips_scene(tmp_path, named=named)
+    result = run("overlap", *given, "--strips", "--json", "-o", tmp_path / "out.csv")
+    assert result.exit_code == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert [pair["strip"] for pair in content["pairs"]] == [1, 1, 1, 2, 2, 2]
+    forward, back, side = content["strips"]
+    for one in (forward, back):
+        assert one["images"] == 4
+        assert (one["least"], one["mean"]) == pytest.approx((1.0 - 250.0 / 800.0,) * 2, abs=5e-3)
+    assert (side["strip"], side["next_strip"]) == (1, 2)
+    assert side["spacing_m"] == pytest.approx(600.0, abs=5.0)
+    assert (side["least"], side["mean"]) == pytest.approx((1.0 - side["spacing_m"] / 1000.0,) * 2, abs=2e-3)
+    assert side["lon_deg"] == pytest.approx(-84.25 + 300.0 / STRIP_METRES[1], abs=1e-4)
+    with open(tmp_path / "out.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["kind"] for row in rows] == ["forward", "forward", "side"]
+    assert float(rows[2]["least"]) == pytest.approx(side["least"], abs=1e-6)
+    assert float(rows[0]["mean"]) == pytest.approx(forward["mean"], abs=1e-6)
+
+
+def test_a_strip_of_which_an_image_sees_no_ground_is_named(tmp_path: pathlib.Path) -> None:
+    result = run("overlap", *strips_scene(tmp_path, tilted=True), "--strips", "--json")
+    assert result.exit_code == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert [one["kind"] for one in content["strips"]] == ["forward", "forward"]
+    assert list(content["strips_without_side"]) == ["2"]
+    assert "strip 2: its side overlap is unknown: 5: " in result.stderr
+
+
+def test_strips_that_are_none_are_refused(tmp_path: pathlib.Path, shots_file: pathlib.Path) -> None:
+    given = "--scene", scene_file(), "--shots", shots_file, "--dem", DEM
+    assert_refused(run("overlap", *given, "--strips"), "--strips: the course of the 3 images is that of one strip")
+    text = shots_file.read_text().splitlines()
+    lines = [f"{text[0]},strip", *(f"{line},{name}" for line, name in zip(text[1:], "aab", strict=True))]
+    shots_file.write_text("\n".join(lines) + "\n")
+    assert_refused(run("overlap", *given, "--strips"), "strip 2 has one image; a strip needs two or more")
+
+
+@pytest.mark.costly
+def test_a_plan_has_the_spacing_for_a_side_overlap(tmp_path: pathlib.Path) -> None:
+    """Over level ground 0.7 of the width; flown at it, the strips have the wanted overlap."""
+    (tmp_path / "nadir.toml").write_text(NADIR)
+    records = [f"{10.0 * k},{36.3 + 250.0 * k / STRIP_METRES[0]:.8f},-84.25,1500,0,0,0" for k in range(6)]
+    (tmp_path / "flight.csv").write_text("\n".join([f"time_s,{POSE}", *records]) + "\n")
+    given = ("--scene", tmp_path / "nadir.toml", "--navigation", tmp_path / "flight.csv", "--ground", "500")
+    line = ("plan", *given, "--camera-datum", "ellipsoid", "--overlap", "0.6", "-o", tmp_path / "p.csv")
+    result = run(*line, "--side-overlap", "0.3", "--json")
+    assert result.exit_code == 0, result.stderr
+    (strip,) = json.loads(result.stdout)["strips"]
+    for side in ("left", "right"):
+        assert strip[f"{side}_m"] == pytest.approx(700.0, abs=1.0)
+        assert strip[f"{side}_least"] == pytest.approx(0.3, abs=2e-4)
+    said = f"next strip for a side overlap of 0.3 at least: {strip['left_m']:.1f} m to the left"
+    assert said in " ".join(result.stderr.split())
+    assert "strips" not in json.loads(run(*line, "--json").stdout)
+    assert_refused(run(*line, "--side-overlap", "30"), "--side-overlap 30: must be in [0, 1), a share: 0.3 for 30 %")
+
+
+@pytest.mark.costly
+def test_a_plan_becomes_footprints_and_overlaps_by_files(tmp_path: pathlib.Path) -> None:
+    """The exposures that `plan` writes are shots of `footprint` and of `overlap`: the same places and overlaps."""
+    (tmp_path / "nadir.toml").write_text(NADIR)
+    records = [f"{10.0 * k},{36.3 + 250.0 * k / STRIP_METRES[0]:.8f},-84.25,1500,0,0,0" for k in range(5)]
+    (tmp_path / "flight.csv").write_text("\n".join([f"time_s,{POSE}", *records]) + "\n")
+    exposures, outlines, overlaps = (tmp_path / name for name in ("plan.csv", "outlines.geojson", "overlaps.csv"))
+    scene = ("--scene", tmp_path / "nadir.toml", "--ground", "500")
+    flight = ("--navigation", tmp_path / "flight.csv", "--camera-datum", "ellipsoid")
+    timing = ("--overlap", "0.6", "--timing", "velocity-height")
+    assert run("plan", *scene, *flight, *timing, "-o", exposures).exit_code == 0
+    shots = (*scene, "--shots", exposures)
+    assert run("footprint", *shots, "--tolerance", "20", "-o", outlines).exit_code == 0
+    assert run("overlap", *shots, "-o", overlaps).exit_code == 0
+    with open(exposures, newline="") as file:
+        planned = list(csv.DictReader(file))
+    with open(overlaps, newline="") as file:
+        found = list(csv.DictReader(file))
+    features = json.loads(outlines.read_text())["features"]
+    assert len(planned) == len(features) == len(found) + 1 >= 4
+    for one, feature in zip(planned, features, strict=True):
+        ring = np.array(feature["geometry"]["coordinates"][0])
+        assert ring[:, 0].min() < float(one["lon_deg"]) < ring[:, 0].max()
+        assert ring[:, 1].min() < float(one["lat_deg"]) < ring[:, 1].max()
+        assert feature["properties"]["complete"] is True
+        assert feature["properties"]["covered_share"] == 1.0
+    for one, pair in zip(planned[1:], found, strict=True):
+        for place in ("near", "far"):
+            assert float(pair[place]) == pytest.approx(float(one[f"overlap_{place}"]), abs=2e-6)
+    assert [float(pair["near"]) for pair in found] == pytest.approx([0.6] * len(found), abs=2e-3)
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpkg", ".kml"])
+def test_files_say_which_footprints_are_partial(tmp_path: pathlib.Path, suffix: str) -> None:
+    """An image with its upper part above the horizon has no outline, `complete` is false, and a share sees ground."""
+    (tmp_path / "nadir.toml").write_text(NADIR)
+    rows = ["a,36.3,-84.25,1500,0,0,0,ellipsoid,9", "b,36.3,-84.25,1500,0,80,0,ellipsoid,9"]
+    shots = tmp_path / "shots.csv"
+    shots.write_text("\n".join([f"name,{POSE},height_datum,covered_share", *rows]) + "\n")
+    output = tmp_path / f"out{suffix}"
+    given = "--scene", tmp_path / "nadir.toml", "--shots", shots, "--ground", "500", "--tolerance", "20"
+    result = run("footprint", *given, "-o", output, "--json")
+    assert result.exit_code == 0, result.stderr
+    if suffix == ".geojson":
+        found = [one["properties"] for one in json.loads(output.read_text())["features"]]
+    else:
+        _, _, _, columns = pyogrio.raw.read(output)
+        names = pyogrio.read_info(output)["fields"]
+        found = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+    whole, partial = found
+    assert bool(whole["complete"]) is True
+    assert whole["covered_share"] == 1.0
+    assert bool(partial["complete"]) is False
+    dip = np.arccos(6371.0 / 6372.0)  # of the horizon of level ground, from 1 km above it
+    rows_seen = 400.0 + 1000.0 * np.tan(np.deg2rad(90.0 - 80.0) - dip)
+    assert partial["covered_share"] == pytest.approx(rows_seen / 800.0, abs=0.01)
+    assert partial["covered_share"] == json.loads(result.stdout)["footprints"][1]["covered_share"]

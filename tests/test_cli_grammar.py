@@ -137,11 +137,12 @@ LONG_LINES = [
     f"overlap {SCENE} --navigation flight.csv --times 101,103 --along rows --dem-datum EPSG:5773 "
     "--camera-datum ellipsoid -o out.csv --format csv --json --debug",
     f"overlap {SCENE} --shots shots.csv",
+    f"overlap {SCENE} --shots strips.csv --strips",
     "footprint DJI_0042.JPG --camera-datum ellipsoid --dem dem.tif",
     "point DJI_0042.JPG --camera-datum ellipsoid --target 36.3155,-84.104,340 --target-datum EPSG:5773 --json",
     "point --scene scene.toml --position 36.318,-84.105,5500 --attitude 160,1,-0.5 --line-of-sight 250,18.5 --json",
     f"plan {SCENE} --navigation flight.csv --overlap 0.9 --timing ground --place near --start 110 --along rows "
-    "--dem-datum EPSG:5773 --camera-datum ellipsoid -o out.csv --json --debug",
+    "--side-overlap 0.3 --dem-datum EPSG:5773 --camera-datum ellipsoid -o out.csv --json --debug",
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
     "--interpolation cubic --cog --status --no-hidden-mask --dem-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
@@ -708,7 +709,7 @@ def test_studies_as_json(monkeypatch) -> None:
     assert result.exit_code == 0, result.output
     (table,) = as_one_object(result, "study li2020")["tables"]
     assert table["rows"] == [{"what": "a", "how much": 1.23456}, {"what": "b", "how much": None}]
-    assert result.stderr == ""
+    assert [line.partition(" about ")[0] for line in result.stderr.splitlines()] == ["jaxgeo: takes"]
 
 
 def test_the_dem_of_the_examples_is_that_of_the_package() -> None:

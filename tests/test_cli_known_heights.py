@@ -7,10 +7,12 @@ import pathlib
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 import rasterio
-from support.command_files import LAT, LON, prepare
+from support.command_files import DJI, LAT, LON, prepare
 from support.command_runner import CliRunner
+from support.drone_image_files import FULL, packet, write_image
 from test_cli_dem import commands_with
 from test_cli_flights import CAMERA, log
 
@@ -18,8 +20,11 @@ import jaxgeo
 from jaxgeo.cli import app
 from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._options import DemOptions
+from jaxgeo.cli._takeoff_sigma import FirstExposure, TakeoffSigma, doubt_of, takeoff_sigma
+from jaxgeo.uncertainty import sources
 
 IMAGE = "DJI_0042.JPG --takeoff-height dem --dem dem.tif"
 LOG = f"flight.csv --takeoff-height dem --dem dem.tif --camera {CAMERA}"
@@ -165,10 +170,24 @@ def test_datums_that_nobody_states_are_asked_for_at_once(here: pathlib.Path) -> 
         ),
         ("footprint DJI_0042.JPG --takeoff-height 900 --ground 100", "take-off is 800 m above --ground 100"),
         (
+            "footprint DJI_0042.JPG --camera-datum ellipsoid --ground 100 --dem-datum EPSG:5773",
+            "the wrong one, --takeoff-height 100 --camera-datum EPSG:5773 in place of --camera-datum ellipsoid",
+        ),
+        (
+            "locate DJI_0042.JPG --no-accuracy --camera-datum ellipsoid --ground 100",
+            "the wrong one, --takeoff-height 100 in place of --camera-datum ellipsoid",
+        ),
+        (
             "locate flight.klv --no-accuracy --ground 1000",
             "frame centre 7[0-9]+ m below --ground 1000",
         ),
-        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0", "are relative to the take-off"),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0", ""),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0 --camera-datum ellipsoid", ""),
+        ("locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --dem dem.tif", "Give --takeoff-height dem, or its"),
+        (
+            "locate DJI_0042.JPG --no-accuracy --takeoff-height 0 --ground 0 --dem-datum EPSG:5773",
+            "take-off is at 0 m above the ellipsoid.*Give its height as --takeoff-height",
+        ),
         ("locate DJI_0042.JPG --no-accuracy --takeoff-height 5 --ground 0", ""),
         ("locate flight.klv --no-accuracy --ground reported", ""),
     ],
@@ -181,4 +200,182 @@ def test_level_ground_far_from_what_the_files_report_is_doubtful(line: str, word
         assert re.search(words, one)
         for way in re.findall(r"Give (--ground \d+)", one):
             assert "check: " not in run(f"{line.partition(' --ground')[0]} {way}").stderr
+        for way, left_out in re.findall(
+            r"the wrong one, (--takeoff-height .*?) in place of (--camera-datum \S+)\.$", one
+        ):
+            assert "check: The take-off" not in run(line.replace(left_out, way)).stderr
         assert "Give" in one or "take-off" in words
+
+
+@pytest.mark.costly
+def test_without_the_height_of_the_take_off_nothing_is_above_a_datum(here: pathlib.Path) -> None:
+    """In JSON, on the terminal, through pipes, on pages and in footprints; with a datum for it all is as ever."""
+    prepare(here, "locate DJI_0042.JPG")
+    given = "DJI_0042.JPG --takeoff-height 0 --ground 2.5"
+    found = run(f"locate {given} --no-accuracy --json")
+    assert found.exit_code == 0, found.output
+    assert "all heights are above the take-off, and above no datum" in " ".join(found.stderr.split())
+    (row,) = json.loads(found.stdout)["fixes"]
+    assert row["fix_height_above_takeoff_m"] == 2.5
+    assert not {"fix_height_m", "fix_height_msl_m"} & set(row)
+    shown = " ".join(run(f"locate {given} --no-accuracy").stdout.split())
+    assert "height: m above the take-off" in shown
+    assert not re.search("WGS 84|EGM96|msl", shown)
+    (feature,) = json.loads(run(f"locate {given} --no-accuracy --format geojson").stdout)["features"]
+    assert len(feature["geometry"]["coordinates"]) == 2
+    header = run(f"locate {given} --no-accuracy --format csv").stdout.splitlines()[0].split(",")
+    assert "fix_height_above_takeoff_m" in header
+    assert not {"fix_height_m", "fix_height_msl_m"} & set(header)
+    assert run(f"report {given} -o page.html").exit_code == 0
+    page = (here / "page.html").read_text(encoding="utf-8")
+    assert "2.50 m</b> above the take-off" in page
+    assert not re.search("EGM96|height above WGS 84|[0-9] m above (the )?WGS 84", page)
+    seen = run(f"footprint {given} --json")
+    assert {*json.loads(seen.stdout)["footprints"][0]["outline"][0]} >= {"height_above_takeoff_m"}
+    refused = run(f"footprint {given} -o f.geojson --crs EPSG:4979")
+    assert refused.exit_code == 2
+    assert "needs heights above a datum" in refused.stderr
+    known = run(f"locate {given} --camera-datum ellipsoid --no-accuracy --json")
+    (row,) = json.loads(known.stdout)["fixes"]
+    assert row["fix_height_m"] == 2.5
+    assert "no datum" not in known.stderr
+
+
+def test_the_viewer_says_what_heights_are_above(here: pathlib.Path) -> None:
+    from jaxgeo.view.data import _heights
+
+    assert _heights({"fix_height_above_takeoff_m": 2.5}) == {"height_text": "2.50 m above the take-off"}
+    known = _heights({"fix_height_m": 2.5, "fix_height_msl_m": -30.0})
+    assert known["height_text"].endswith("above the WGS 84 ellipsoid")
+    assert "EGM96" in known["msl_text"]
+
+
+SLOPE_EAST, SLOPE_NORTH = 0.3, -0.4  # of the plane
+
+
+class Plane:
+    """Ground of a constant slope."""
+
+    @staticmethod
+    def normal_at(place: jaxgeo.Geodetic) -> np.ndarray:
+        upward = np.array([-SLOPE_EAST, -SLOPE_NORTH, 1.0])
+        return upward / np.linalg.norm(upward)
+
+    @staticmethod
+    def height_at(place: jaxgeo.Geodetic) -> float:
+        return 400.0
+
+
+def first(*given: Any, is_usual: bool = True) -> FirstExposure:
+    return FirstExposure("a.jpg", LAT, LON, given, is_usual)
+
+
+def test_the_take_off_is_as_sure_as_the_model_and_the_place_on_its_slope() -> None:
+    """By NumPy, from the gradient of the plane and the covariance of the position."""
+    position = sources.Position.from_ned(north=2.0, east=6.0, down=1.0)
+    covariance, gradient = np.diag([2.0**2, 6.0**2]), np.array([SLOPE_NORTH, SLOPE_EAST])
+    by_slope = float(np.sqrt(gradient @ covariance @ gradient))
+    found = takeoff_sigma(Plane, first(position), Sigmas())
+    assert found == pytest.approx((5.0, by_slope))
+    assert found.total == pytest.approx(np.sqrt(25.0 + by_slope**2))
+    stated = takeoff_sigma(Plane, first(position, sources.TerrainHeight.from_metres(2.5)), Sigmas())
+    assert stated.of_model == pytest.approx(2.5)
+    several = sources.TerrainField.of_variograms(gaussian=[(3.0, 100.0)], spherical=[(4.0, 500.0)])
+    assert takeoff_sigma(Plane, first(position, several), Sigmas()).of_model == pytest.approx(5.0)
+    typed = takeoff_sigma(Plane, first(position), Sigmas(dem=0.5, position="1"))
+    assert typed == pytest.approx((0.5, np.hypot(SLOPE_NORTH, SLOPE_EAST)))
+
+
+def test_a_stated_sigma_of_the_height_that_is_too_small_is_named() -> None:
+    position = sources.Position.from_ned(north=2.0, east=6.0, down=1.0)
+    sigma = TakeoffSigma(5.0, 2.0)
+    assert doubt_of(sigma, first(position), Sigmas()) is None, "a default one gets the take-off's"
+    for given, typed in ((first(position, is_usual=False), Sigmas()), (first(position), Sigmas(position="2,6,1"))):
+        said = doubt_of(sigma, given, typed) or ""
+        way = re.search(r"--position-sigma (\S+)$", said)
+        assert way is not None
+        assert doubt_of(sigma, given, Sigmas(position=way[1])) is None
+        assert float(way[1].split(",")[2]) == pytest.approx(np.hypot(1.0, sigma.total), abs=0.1)
+    assert doubt_of(sigma, first(position), Sigmas(position="9")) is None
+
+
+@pytest.mark.costly
+def test_the_accuracy_has_the_error_of_the_take_off(here: pathlib.Path) -> None:
+    """The same figures as with the sigma of the height typed: root of the sum of squares with the default 5 m."""
+    prepare(here, f"locate {IMAGE}")
+    line = f"locate {IMAGE} --dem-sigma 4 --json"
+    found = run(line)
+    assert found.exit_code == 0, found.output
+    said = re.search(
+        r"Its sigma is ([0-9.]+) m: 4 m of the elevation model, ([0-9.]+) m", " ".join(found.stderr.split())
+    )
+    assert said is not None
+    total, by_slope = float(said[1]), float(said[2])
+    assert total == pytest.approx(np.hypot(4.0, by_slope), abs=0.01)
+    dem, off = jaxgeo.io.example_dem(), 1e-6  # rad
+    at = lambda lat, lon: float(dem.height_at(jaxgeo.Geodetic(lat=lat, lon=lon, height=0.0)))  # noqa: E731
+    lat, lon = np.deg2rad([LAT, LON])
+    per_north = (at(lat, lon) - at(lat - off, lon)) / (off * 6_371_000.0)
+    per_east = (at(lat, lon) - at(lat, lon - off)) / (off * 6_371_000.0 * np.cos(lat))  # the place is between two cells
+    assert by_slope == pytest.approx(3.0 * np.hypot(per_north, per_east), rel=0.02)
+    down = np.hypot(5.0, np.hypot(4.0, 3.0 * np.hypot(per_north, per_east)))
+    typed = run(f"{line} --position-sigma 3,3,{down:.6f}")
+    without = run(f"locate DJI_0042.JPG --takeoff-height {height_at(LAT, LON):.3f} --dem dem.tif --dem-sigma 4 --json")
+    radii = [json.loads(one.stdout)["fixes"][0]["ce90_m"] for one in (found, typed, without)]
+    assert radii[0] == pytest.approx(radii[1], rel=5e-3)
+    assert radii[0] > 1.05 * radii[2]
+
+
+def test_a_sigma_of_no_take_off_is_refused(here: pathlib.Path) -> None:
+    prepare(here, "locate DJI_0042.JPG")
+    read = jaxgeo.io.read_acquisition
+    assert read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=2.0).takeoff_sigma == 2.0
+    found = jaxgeo.io.with_usual_errors(read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=12.0))
+    assert any("3, 3, 13 m (N, E, D; default, with 12 m of the take-off)" in one for one in found.assumed)
+    with pytest.raises(jaxgeo.io.TableError, match="takeoff_sigma= is that of takeoff_height="):
+        read("DJI_0042.JPG", height_datum="ellipsoid", takeoff_sigma=2.0)
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(jaxgeo.io.TableError, match="takeoff_sigma= must be 0 m or more, and finite"):
+            read("DJI_0042.JPG", takeoff_height=300.0, takeoff_sigma=wrong)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize(
+    "ground, datum",
+    [
+        ("--dem dem.tif", "--camera-datum ellipsoid"),
+        ("--dem dem.tif", "--takeoff-height 100"),
+        ("--ground 320", "--camera-datum ellipsoid"),
+        ("--ground 320 --dem-datum EPSG:5773", "--camera-datum ellipsoid"),
+    ],
+)
+def test_a_wrong_altitude_of_an_image_is_replaced_as_printed(ground: str, datum: str, here: pathlib.Path) -> None:
+    """The image is 99.9 m above the take-off, but by its altitude below the terrain."""
+    prepare(here, "locate --dem dem.tif")
+    write_image(here / "DJI_0042.JPG", packet(DJI | {"drone-dji:AbsoluteAltitude": "+200.0"}), make="DJI", size=FULL)
+    line = f"locate DJI_0042.JPG --no-accuracy {ground} {datum}"
+    refused = run(line)
+    assert refused.exit_code == 1, refused.output
+    said = re.search(
+        r"m higher\. If the height of the camera is the wrong one \(99\.9 m above the take-off by the file\), "
+        r"give (.*?) in place of (.*)\.$",
+        " ".join(refused.stderr.split("jaxgeo: no pixel")[0].split()),
+    )
+    assert said is not None, refused.stderr
+    assert said[2] == datum
+    done = run(line.replace(datum, said[1]))
+    assert done.exit_code == 0, done.output
+    assert "1 hit" in " ".join(done.stderr.split())
+
+
+@pytest.mark.costly
+def test_a_wrong_height_of_a_scene_is_corrected_where_it_is(here: pathlib.Path) -> None:
+    prepare(here, "locate --scene scene.toml --dem dem.tif shots.csv")
+    scene, shots = here / "scene.toml", here / "shots.csv"
+    scene.write_text(scene.read_text().replace("height_m = 5500.0", "height_m = 55.0"))
+    line = "locate --scene scene.toml --dem dem.tif --no-accuracy"
+    refused = " ".join(run(f"{line} --pixel 1200,2400").stderr.split())
+    assert "If the height of the camera is the wrong one, correct height_m in scene.toml." in refused
+    shots.write_text(shots.read_text().replace(",5500,", ",55,"))
+    refused = " ".join(run(f"{line} --shots shots.csv --format table").stderr.split())
+    assert "the wrong one, correct the column height_m of shots.csv." in refused

@@ -63,8 +63,9 @@ class ReadingOptions(OptionGroup):
         typer.Option(
             "--camera",
             metavar="CAMERA",
-            help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), Pix4D's .cam, "
-            "OpenSfM's .json, or the NAME of a camera in the file (drone images: in the camera table).",
+            help="Camera: focal=8.8mm,pitch=2.41um, focal=3666px or film=24mm (35 mm equivalent), for logs and videos "
+            "with size=5472x3648; a camera or scene file (.toml), Pix4D's .cam, OpenSfM's .json, or the NAME of a "
+            "camera in the file (drone images: in the camera table).",
         ),
     ] = None
     gimbal: Annotated[
@@ -155,6 +156,11 @@ class ReadingOptions(OptionGroup):
         return {name: value for name, value in how.items() if value is not None}
 
     @property
+    def is_above_takeoff(self) -> bool:
+        """Whether the take-off is the level of reference: at 0 m above no datum that is named."""
+        return self.height_datum is None and number_in(self.takeoff_height or "") == 0.0
+
+    @property
     def known_arguments(self) -> dict[str, Any]:
         """`arguments` for a reader. Raises `UserError` for a take-off on an elevation model, which no reader has."""
         if self.takeoff_height == TAKEOFF_ON_DEM:
@@ -163,6 +169,17 @@ class ReadingOptions(OptionGroup):
         if self.crs is not None and arguments["crs"] != self.crs:
             print_note(f"--source-crs {self.crs}: {_of_prj(self.crs)[1]}.")
         return arguments
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KnownHeights(ReadingOptions):
+    """Reading options with the take-off on the elevation model as a number, and its standard deviation in m."""
+
+    takeoff_sigma: float = 0.0
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        return super().arguments | {"takeoff_sigma": self.takeoff_sigma}
 
 
 def _of_prj(path: str) -> tuple[str, str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import typer
 
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import checked_sigma
 from jaxgeo.cli._inputs import as_datum, numbers_in
@@ -148,11 +149,11 @@ class ControlOptions(OptionGroup):
         if surveyed.sigma_enu is None and survey is None:
             survey = [USUAL_SURVEY] * 3
             assumed.append(f"Survey sigma: {USUAL_SURVEY:g} m (default). (--gcp-sigma)")
-            print_note(f"assumed: {assumed[-1]}")
+            print_assumed(assumed[-1:])
         if surveyed.sigma_px is None and pixel is None:
             pixel = USUAL_PIXEL
             assumed.append(f"Pixel sigma: {USUAL_PIXEL:g} (default). (--pixel-sigma)")
-            print_note(f"assumed: {assumed[-1]}")
+            print_assumed(assumed[-1:])
         names = [str(name) for name in views.name]
         given = {"sigma_enu": survey or USUAL_SURVEY, "sigma_px": pixel or USUAL_PIXEL, "check": self.check or ()}
         try:

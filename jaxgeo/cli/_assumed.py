@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pathlib
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -12,9 +13,12 @@ from jaxgeo.cli._screen import print_note
 
 if TYPE_CHECKING:
     from jaxgeo.cli._locate_inputs import LocateInputs
+    from jaxgeo.fix import Fix
+    from jaxgeo.io import Observations
     from jaxgeo.uncertainty import Accuracy
 
 OF_SIGMA = re.compile(r"\((--[a-z]+-sigma)\)")  # at the end of a sentence: the option that replaces the default
+_said: list[str] = []  # sentences of this run, for its JSON object
 MOST = 0.5  # share of the horizontal variance from which the assumed standard deviations are said to dominate
 LEAST = 0.1  # share from which one of them is named
 NAMED = {
@@ -33,11 +37,22 @@ OF_SOURCE = {
 }
 
 
+def forget_assumed() -> None:
+    """Begin a new run."""
+    _said.clear()
+
+
+def with_said(assumed: Sequence[str]) -> list[str]:
+    """The sentences, and those of this run that are not among them."""
+    return [*assumed, *dict.fromkeys(one for one in _said if one not in assumed)]
+
+
 def print_assumed(sentences: Sequence[str]) -> None:
     """Print assumptions as notes: one for the default standard deviations, with their options, one for each input that
-    contradicts itself, one for all others."""
+    contradicts itself, one for all others. The JSON object of the run has them too."""
     from jaxgeo.io.acquisitions.sentences import DOUBT
 
+    _said.extend(sentences)
     doubts = [one for one in sentences if one.startswith(DOUBT)]
     sentences = [one for one in sentences if one not in doubts]
     sigmas = [one for one in sentences if OF_SIGMA.search(one) or " sigma: " in one]
@@ -63,13 +78,51 @@ def _as_item(text: str) -> str:
 def assumed_shares(inputs: LocateInputs, found: Accuracy | None) -> dict[str, float]:
     """Shares of assumed standard deviations in the horizontal variance of the fix with the median CE, by option,
     largest first; empty if all are stated, or without accuracy."""
-    from jaxgeo.io.located import horizontal_variances
-
-    options = {option for one in inputs.assumed for option in OF_SIGMA.findall(one)}
-    row = _median_row(found) if options and found is not None else None
+    options = _options_assumed(inputs)
+    row = _median_row(np.asarray(found.circular)) if options and found is not None else None
     if found is None or row is None:
         return {}
-    sources, variances = horizontal_variances(inputs.observed, inputs.grounds, found.fix, row)
+    return _shares(options, inputs.observed, inputs.grounds, found.fix, row)
+
+
+def assumed_shares_of_files(
+    inputs: LocateInputs, files: Sequence[pathlib.Path], probability: float
+) -> dict[str, float]:
+    """`assumed_shares` of fixes in the GeoParquet files of a run on a cluster, of which that one is located again."""
+    from pyarrow import parquet
+
+    from jaxgeo.io.located import locate_observations, terrain_at
+    from jaxgeo.io.located_over_files import window_over_files
+
+    options, observed = _options_assumed(inputs), inputs.observed
+    if not (options and inputs.has_errors):
+        return {}
+    column = f"ce{100.0 * probability:.10g}_m".replace(".", "_")
+    tables = [parquet.read_table(file, columns=["index", column]) for file in files]
+    index, circular = (np.concatenate([np.asarray(one[name], float) for one in tables]) for name in ("index", column))
+    order = np.argsort(index, kind="stable")  # rows that are equal are chosen as on one machine
+    at = _median_row(circular[order])
+    if at is None:
+        return {}
+    number, place = observed.place(int(index[order[at]]))
+    some = observed.part(number, np.array([place]))
+    if isinstance(inputs.grounds, Sequence):
+        ground = terrain_at(inputs.grounds[number], np.array([place]))
+    else:
+        ground = window_over_files(some, inputs.grounds)
+    fixes = locate_observations(some, [ground])
+    return _shares(options, some, [ground], fixes, 0)
+
+
+def _options_assumed(inputs: LocateInputs) -> set[str]:
+    return {option for one in inputs.assumed for option in OF_SIGMA.findall(one)}
+
+
+def _shares(options: set[str], observed: Observations, grounds: Any, fixes: Fix, row: int) -> dict[str, float]:
+    """Shares of options in the horizontal variance of the fix of a row, largest first."""
+    from jaxgeo.io.located import horizontal_variances
+
+    sources, variances = horizontal_variances(observed, grounds, fixes, row)
     total = float(variances.sum())
     if not (np.isfinite(total) and total > 0.0):
         return {}
@@ -80,9 +133,8 @@ def assumed_shares(inputs: LocateInputs, found: Accuracy | None) -> dict[str, fl
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
-def _median_row(found: Accuracy) -> int | None:
-    """The row of the fix with the median circular error; None without one."""
-    circular = np.asarray(found.circular)
+def _median_row(circular: np.ndarray) -> int | None:
+    """The row of the median of the circular errors (n,); None without one."""
     rows = np.flatnonzero(np.isfinite(circular))
     return int(rows[np.argsort(circular[rows], kind="stable")[len(rows) // 2]]) if rows.size else None
 

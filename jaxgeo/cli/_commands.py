@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo.cli._archive_dem import forget
+from jaxgeo.cli._assumed import forget_assumed
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
 from jaxgeo.cli._old_options import with_new_names
 from jaxgeo.cli._screen import print_message
@@ -51,6 +52,7 @@ class Commands(TyperGroup):
         if not standalone_mode:
             return super().main(**given, **extra)
         forget()
+        forget_assumed()
         words = sys.argv[1:] if args is None else args
         words, renamed = with_new_names(words, _options_of(self, words))
         if not {"--quiet", "-q"} & set(words):

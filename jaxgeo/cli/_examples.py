@@ -49,10 +49,12 @@ EXAMPLES = {
     "overlap": (
         f"jaxgeo overlap {SCENE} --navigation flight.csv --times 101,103,107",
         f"jaxgeo overlap {SCENE} --shots shots.csv -o overlaps.csv",
+        f"jaxgeo overlap {SCENE} --shots strips.csv --strips",
     ),
     "plan": (
         f"jaxgeo plan {SCENE} --navigation flight.csv --overlap 0.15 -o exposures.csv",
         f"jaxgeo plan {SCENE} --navigation flight.csv --timing fixed:2.5 -o exposures.csv",
+        f"jaxgeo plan {SCENE} --navigation flight.csv --overlap 0.6 --side-overlap 0.3 -o exposures.csv",
     ),
     "rectify": (
         f"jaxgeo rectify image.tif {SCENE} -o ortho.tif",

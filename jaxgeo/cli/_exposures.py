@@ -12,6 +12,7 @@ from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import single
+from jaxgeo.cli._known_heights import relative_heights, takeoff_instead
 from jaxgeo.cli._level_ground import ground_doubts
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read, typed
@@ -124,7 +125,12 @@ class ExposureOptions(OptionGroup):
                 files, scene=self.scene, exposures=self.names or (), progress=progress, **reading.known_arguments
             )
         assumed = [one for one in map(as_typed, observed.assumed) if not any(word in one for word in OF_ERRORS)]
-        print_assumed([*assumed, *([] if ground is None else ground_doubts(observed, ground))])
+        if ground is not None:
+            assumed += [
+                *ground_doubts(observed, ground, takeoff_instead(reading, ground)),
+                *relative_heights(reading, ground),
+            ]
+        print_assumed(assumed)
         print_unread(observed.unread.values())
         return observed
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgeo.cli._screen import print_note
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import Shot
 
@@ -18,6 +18,7 @@ def note_far_crs(crs: str | None, of: Any) -> None:
     one there. An image on a trajectory is left out.
     """
     from jaxgeo.io._map_crs import code_of, degrees_outside
+    from jaxgeo.io.acquisitions.sentences import DOUBT
     from jaxgeo.io.map_raster import usual_crs
 
     position = of.pose.position if isinstance(of, Shot) else of
@@ -27,7 +28,6 @@ def note_far_crs(crs: str | None, of: Any) -> None:
     for lat, lon in places[:, np.isfinite(places).all(axis=0)].T[:1]:
         apart = degrees_outside(crs, lat, lon)
         if apart > FAR:
-            print_note(
-                f"check: The images are {apart:.0f} deg from the area of use of --crs {crs}; the usual CRS here is "
-                f"{code_of(usual_crs(lon, lat))}."
-            )
+            usual = code_of(usual_crs(lon, lat))
+            area = f"The images are {apart:.0f} deg from the area of use of --crs {crs}"
+            print_assumed([f"{DOUBT}{area}; the usual CRS here is {usual}."])

@@ -6,20 +6,26 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import typer
 
 from jaxgeo._checks import enable_x64
-from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, ReadingOptions, reading_files
+from jaxgeo._text_numbers import number_in
+from jaxgeo.cli._acquisitions import TAKEOFF_ON_DEM, KnownHeights, ReadingOptions, reading_files
 from jaxgeo.cli._archive_dem import is_archive
+from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import bounds_in, check_goes_with_dem, open_terrain, read_terrain
 from jaxgeo.cli._options import READING, DemOptions
-from jaxgeo.cli._screen import print_note
+from jaxgeo.cli._takeoff_sigma import FirstExposure, doubt_of, takeoff_sigma
+from jaxgeo.earth import Geodetic
+from jaxgeo.uncertainty.sources import Position
 
 if TYPE_CHECKING:
+    from jaxgeo.cli._locate_options import GroundOptions
     from jaxgeo.io import Observations
 
 UNSTATED = "does not state the vertical datum of its heights"  # of a `VerticalDatumError`
@@ -63,12 +69,14 @@ def with_known_heights(
     scene: pathlib.Path | None,
     dem: Sequence[str],
     of_dem: DemOptions,
+    sigmas: Sigmas | None = None,
 ) -> ReadingOptions:
     """The reading options with a number for `--takeoff-height dem`, which is printed on stderr.
 
-    It is the height in m above the ellipsoid of the elevation model under the earliest exposure. Raises `UserError`
-    without an elevation model, beside --camera-datum, and where the model has no height; one for both, if neither
-    the files nor the elevation model state what their heights are above; and as the readers.
+    It is the height in m above the ellipsoid of the elevation model under the earliest exposure. Its standard deviation
+    is that of `takeoff_sigma`, with `sigmas` as typed. Raises `UserError` without an elevation model, beside
+    --camera-datum, and where the model has no height; one for both, if neither the files nor the elevation model state
+    what their heights are above; and as the readers.
     """
     if reading.takeoff_height != TAKEOFF_ON_DEM:
         _refuse_both(reading, list(files), scene, list(dem), of_dem)
@@ -82,15 +90,65 @@ def with_known_heights(
     enable_x64()
     # of the whole file: a flight has one take-off, whichever moments are asked for
     whole = dataclasses.replace(reading, takeoff_height="0", times=[])
-    name, lat, lon = _first_exposure(whole, list(files), scene)
-    height = _height_under(list(dem), of_dem, lat, lon)
+    first = _first_exposure(whole, list(files), scene)
+    name, lat, lon = first[:3]
+    terrain = _terrain_at(list(dem), of_dem, lat, lon)
+    height = float(terrain.height_at(Geodetic.from_degrees(lat=lat, lon=lon, height=0.0)))
     if not math.isfinite(height):
         raise UserError(
             f"--takeoff-height dem: the elevation model has no height under the first exposure, {name}, at {lat:.6f} "
             f"deg north, {lon:.6f} deg east; give the height of the take-off in m."
         )
-    print_note(f"assumed: The take-off is at {height:.2f} m above the ellipsoid, as the ground under {name}.")
-    return dataclasses.replace(reading, takeoff_height=f"{height:.3f}")
+    sigmas = Sigmas() if sigmas is None else sigmas
+    sigma = takeoff_sigma(terrain, first, sigmas)
+    found = f"The take-off is at {height:.2f} m above the ellipsoid, as the ground under {name}. {sigma.words}"
+    doubt = doubt_of(sigma, first, sigmas)
+    print_assumed([found] if doubt is None else [found, doubt])
+    known: dict[str, Any] = {field.name: getattr(reading, field.name) for field in dataclasses.fields(ReadingOptions)}
+    known |= {"takeoff_height": f"{height:.3f}", "takeoff_sigma": sigma.total}
+    return KnownHeights(**known)
+
+
+def takeoff_instead(reading: ReadingOptions, ground: GroundOptions) -> str | None:
+    """The options by which heights above the take-off replace the altitudes of files, with those to leave out; None if
+    they do so already."""
+    given = [f"--camera-datum {reading.height_datum}"] if reading.height_datum is not None else []
+    if isinstance(reading, KnownHeights) or (reading.takeoff_height is not None and not ground.dem):
+        return None
+    given += [f"--takeoff-height {reading.takeoff_height}"] if reading.takeoff_height is not None else []
+    if ground.dem:
+        typed = f"--takeoff-height {TAKEOFF_ON_DEM}"
+    elif number_in(ground.level or "") is None:
+        return None
+    else:
+        datum = "" if ground.vertical_datum is None else f" --camera-datum {ground.vertical_datum}"
+        typed = f"--takeoff-height {ground.level}{datum}"
+    return typed + (f" in place of {' and '.join(given)}" if given else "")
+
+
+def has_no_datum(reading: ReadingOptions, ground: GroundOptions) -> bool:
+    """Whether heights, those of level ground too, are above a take-off whose own height is unknown."""
+    is_level = number_in(ground.level or "") is not None and ground.vertical_datum is None
+    return reading.is_above_takeoff and is_level
+
+
+def relative_heights(reading: ReadingOptions, ground: GroundOptions | None = None) -> list[str]:
+    """A sentence on all heights if the take-off is the level of reference; over ground above a datum, a doubt."""
+    from jaxgeo.io.acquisitions.sentences import DOUBT
+
+    if not reading.is_above_takeoff:
+        return []
+    if ground is None or has_no_datum(reading, ground):
+        return [
+            "With --takeoff-height 0 all heights are above the take-off, and above no datum; if it is at 0 m above "
+            "the ellipsoid, give --camera-datum ellipsoid too."
+        ]
+    known = "--ground" if ground.level is not None else "--dem"
+    way = "its height as --takeoff-height" if ground.level is not None else "--takeoff-height dem, or its height"
+    return [
+        f"{DOUBT}With --takeoff-height 0 the take-off is at 0 m above the ellipsoid, as heights of {known} are above a "
+        f"datum. Give {way}, unless it is there."
+    ]
 
 
 def _refuse_both(
@@ -125,10 +183,8 @@ def _read(reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Pat
         return read_observations(files, scene=scene, progress=progress, **reading.known_arguments)
 
 
-def _first_exposure(
-    reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Path | None
-) -> tuple[str, float, float]:
-    """(name, latitude and longitude in deg) of the earliest exposure, of those at one time the first."""
+def _first_exposure(reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Path | None) -> FirstExposure:
+    """The earliest exposure, of those at one time the first."""
     observed = _read(reading, files, scene)
     found: list[tuple[float, int, float, float]] = []
     for batch in observed.batches:
@@ -138,7 +194,9 @@ def _first_exposure(
         found += zip(times.tolist(), np.asarray(batch.rows).tolist(), lat.tolist(), lon.tolist(), strict=True)
     _, row, lat, lon = min(found)
     name = str(observed.columns[row].get("name", row))
-    return (f"exposure {name} of {observed.source}" if name.isdigit() else name), lat, lon
+    name = f"exposure {name} of {observed.source}" if name.isdigit() else name
+    is_usual = any(kind is Position for kind, _ in observed.assumed_errors)
+    return FirstExposure(name, lat, lon, observed.at(row)[1], is_usual)
 
 
 def _is_within(bounds: tuple[float, float, float, float] | None, lat: float, lon: float) -> bool:
@@ -149,12 +207,10 @@ def _is_within(bounds: tuple[float, float, float, float] | None, lat: float, lon
     return south < lat < north and 0.0 < (lon - west) % 360.0 < (east - west) % 360.0
 
 
-def _height_under(dem: list[str], of_dem: DemOptions, lat: float, lon: float) -> float:
-    """The height in m above the ellipsoid of an elevation model at a place; NaN beside it and in voids."""
-    from jaxgeo.earth import Geodetic
-
+def _terrain_at(dem: list[str], of_dem: DemOptions, lat: float, lon: float) -> Any:
+    """The elevation model, of an archive the part around a place in deg."""
     if is_archive(dem) and not _is_within(bounds_in(of_dem), lat, lon):
         across = BESIDE / max(math.cos(math.radians(lat)), 0.01)
         edges = f"{lon - across:.8f},{lat - BESIDE:.8f},{lon + across:.8f},{lat + BESIDE:.8f}"
         of_dem = dataclasses.replace(of_dem, dem_bounds=edges)
-    return float(read_terrain(dem, of_dem).height_at(Geodetic.from_degrees(lat=lat, lon=lon, height=0.0)))
+    return read_terrain(dem, of_dem)

@@ -43,13 +43,17 @@ def with_ground(inputs: dict[str, Any]) -> dict[str, Any]:
     return {("ground" if name == "level" else name): value for name, value in inputs.items()}
 
 
-def ground_doubts(observed: Observations, ground: GroundOptions) -> list[str]:
-    """Sentences on level ground that is far from what files report: the frame centre, and the take-off."""
+def ground_doubts(observed: Observations, ground: GroundOptions, instead: str | None) -> list[str]:
+    """Sentences on level ground that is far from what files report: the frame centre, and the take-off.
+
+    `instead` are the options by which heights above the take-off replace the altitudes of files (`takeoff_instead`).
+    """
     from jaxgeo.io.acquisitions.sentences import DOUBT
 
     height = number_in(ground.level or "")
     if height is None:
         return []
+    or_instead = "" if instead is None else f"; or, if the altitude of the files is the wrong one, {instead}"
     centres, takeoffs = [], []
     for batch in observed.batches:
         level = level_at(batch.at(0)[0].exposure.motion, ground).height
@@ -59,7 +63,7 @@ def ground_doubts(observed: Observations, ground: GroundOptions) -> list[str]:
     doubts = []
     for what, values, advice in (
         ("The files report the frame centre", centres, "."),
-        ("The take-off is", takeoffs, " if the ground is as high as the take-off."),
+        ("The take-off is", takeoffs, f" if the ground is as high as the take-off{or_instead}."),
     ):
         known = np.array(values)[np.isfinite(values)]
         off = float(np.median(known)) if known.size else 0.0

@@ -6,7 +6,7 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,12 @@ import jaxgeo
 from jaxgeo._destination import check_no_input
 from jaxgeo._refusals import is_refusal
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
+from jaxgeo.cli._acquisitions import print_unread, reading_files
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import as_datum, numbers_in, open_terrain, read_terrain
-from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._known_heights import has_no_datum, relative_heights, takeoff_instead, with_known_heights
 from jaxgeo.cli._level_ground import ground_doubts
 from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._option_names import as_typed, reason_not_read
@@ -46,16 +46,24 @@ REPLACED = {
 BENT = "what it bends at the corners counts as an error of the focal length"
 
 
+class OtherHeight(NamedTuple):
+    """How the height of a camera is replaced, as an order: always, and by a height above the take-off in the file."""
+
+    always: str = ""
+    by_takeoff: str = ""
+
+
 @dataclasses.dataclass(frozen=True)
 class LocateInputs:
     """Observations, the ground of each batch or `DemFiles`, whether error sources are used, assumptions as printed;
-    and of detections their outlines (n, 2) in pixels."""
+    of detections their outlines (n, 2) in pixels; and how heights of cameras are replaced."""
 
     observed: jaxgeo.io.Observations
     grounds: Any
     has_errors: bool
     assumed: list[str]
     vertices: list[np.ndarray] | None = None
+    other_height: OtherHeight = OtherHeight()
 
     @property
     def reasons(self) -> list[str | None] | None:
@@ -109,7 +117,8 @@ def inputs_of(
     """`read_inputs` without messages, but of a take-off on the elevation model."""
     options.check()
     ground = options.ground
-    reading = with_known_heights(options.reading, options.files, options.of_images.scene, ground.dem or [], ground)
+    scene = options.of_images.scene
+    reading = with_known_heights(options.reading, options.files, scene, ground.dem or [], ground, options.sigmas)
     options = dataclasses.replace(options, reading=reading)
     if with_errors is None and options.of_images.shots is None:
         with_errors = not options.is_scene or bool(options.sigmas.given) or None
@@ -125,23 +134,24 @@ def inputs_of(
         each = [_sources(batch, observed.source, options) for batch in observed.batches]
         observed = observed.with_sources([found for found, _ in each])
         assumed += [*of_errors, *dict.fromkeys(one for _, own in each for one in own)]
-    assumed += [*ground_doubts(observed, ground), *_relative_heights(options.reading)]
+    instead = takeoff_instead(options.reading, ground)
+    assumed += [*ground_doubts(observed, ground, instead), *relative_heights(options.reading, ground)]
+    is_above_takeoff = has_no_datum(options.reading, ground)
+    observed = dataclasses.replace(observed, is_above_takeoff=is_above_takeoff)
     if check is not None:
         check(observed, bool(with_errors))
     whole |= vertices is not None
-    return LocateInputs(observed, _grounds(options, observed, on_disk, whole), bool(with_errors), assumed, vertices)
+    grounds = _grounds(options, observed, on_disk, whole)
+    return LocateInputs(observed, grounds, bool(with_errors), assumed, vertices, _other_height(options, instead))
 
 
-def _relative_heights(reading: ReadingOptions) -> list[str]:
-    """A sentence on all heights if the take-off is the level of reference: at 0 m above no datum that is named."""
-    from jaxgeo.io.acquisitions.sentences import DOUBT
-
-    if reading.height_datum is not None or number_in(reading.takeoff_height or "") != 0.0:
-        return []
-    return [
-        f"{DOUBT}With --takeoff-height 0 all heights, those of fixes too, are relative to the take-off, unless it is "
-        f"at 0 m above the ellipsoid: what is said to be above the ellipsoid or mean sea level is not."
-    ]
+def _other_height(options: LocateOptions, instead: str | None) -> OtherHeight:
+    """How the height of a camera is replaced."""
+    if not options.is_scene:
+        return OtherHeight("", "" if instead is None else f"give {instead}")
+    table = options.of_images.shots
+    where = f"height_m in {options.scene_file}" if table is None else f"the column height_m of {table}"
+    return OtherHeight(f"correct {where}", "")
 
 
 def states_errors(options: LocateOptions) -> bool | None:

@@ -92,6 +92,8 @@ def fixes_as_computed(inputs: LocateInputs) -> Iterator[Fix]:
 
 def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width: int) -> NumberTable:
     """Table of fixes for the terminal, with the columns that fit."""
+    from jaxgeo.io.tables import ABOVE_TAKEOFF
+
     first, is_wide = rows[0], width >= WIDE
     columns: dict[str, tuple[str, str]] = {}
     if "name" in first:
@@ -107,11 +109,12 @@ def fixes_table(rows: Sequence[dict[str, Any]], probability: float | None, width
     columns |= {
         "fix_lat_deg": ("lat, deg", ".7f"),
         "fix_lon_deg": ("lon, deg", ".7f"),
-        "fix_height_m": ("height", ".2f"),
     }
+    has_datum = ABOVE_TAKEOFF not in first
+    columns |= {"fix_height_m" if has_datum else ABOVE_TAKEOFF: ("height", ".2f")}
     if is_wide or probability is None:
-        columns |= {"fix_height_msl_m": ("msl", ".2f"), "slant_range_m": ("range", ".1f")}
-        columns |= {"incidence_surface_deg": ("inc.", ".1f")}
+        columns |= {"fix_height_msl_m": ("msl", ".2f")} if has_datum else {}
+        columns |= {"slant_range_m": ("range", ".1f"), "incidence_surface_deg": ("inc.", ".1f")}
     if probability is not None:
         percent = f"{100.0 * probability:.10g}"
         column = percent.replace(".", "_")
@@ -141,8 +144,10 @@ def _times_of(rows: Sequence[dict[str, Any]]) -> tuple[list[Any], str]:
 
 def _caption(columns: Container[str], probability: float | None, day: str = "") -> str:
     """Units and datums of the columns of a table of fixes."""
+    from jaxgeo.io.tables import ABOVE_TAKEOFF
+
     of_time = [f"time: on {day}"] if day and "time" in columns else []
-    words = ["height: m above WGS 84"]
+    words = ["height: m above the take-off" if ABOVE_TAKEOFF in columns else "height: m above WGS 84"]
     if "fix_height_msl_m" in columns:
         words = ["height, msl: m above WGS 84 and EGM96 mean sea level"]
     words = [*of_time, *words]
@@ -180,7 +185,8 @@ def exit_without_fix(inputs: LocateInputs, fixes: Fix) -> None:
 
 
 def below_terrain(inputs: LocateInputs, fixes: Fix) -> str | None:
-    """Heights of the first camera that is below the terrain, and of the ground there; None if there is none."""
+    """Heights of the first camera that is below the terrain, and of the ground there, with how the camera's is
+    replaced; None if there is none."""
     for batch, terrain in zip(inputs.observed.batches, inputs.grounds, strict=True):
         (below,) = np.nonzero(np.asarray(fixes.status)[batch.rows] == Status.camera_below_terrain)
         if not below.size or not isinstance(terrain, Dem | ConstantHeight):
@@ -189,7 +195,13 @@ def below_terrain(inputs: LocateInputs, fixes: Fix) -> str | None:
         at = lambda x, first=first: np.asarray(x)[first] if np.ndim(x) else x  # noqa: E731
         position = jax.tree.map(at, batch.shots.pose.position)
         ground = jax.tree.map(at, terrain) if isinstance(terrain, ConstantHeight) else terrain
-        return heights_of_camera_and_ground(position, ground)
+        both = heights_of_camera_and_ground(position, ground)
+        above = np.nan if batch.above_takeoff is None else float(batch.above_takeoff[first])
+        way = inputs.other_height.always or (inputs.other_height.by_takeoff if above > 0.0 else "")
+        if both is None or not way:
+            return both
+        known = f" ({above:.1f} m above the take-off by the file)" if above > 0.0 else ""
+        return f"{both} If the height of the camera is the wrong one{known}, {way}."
     return None
 
 

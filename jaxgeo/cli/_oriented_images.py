@@ -13,6 +13,7 @@ import jaxgeo
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import shot_of
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._option_names import as_typed, typed
@@ -81,9 +82,9 @@ class OrientedImages:
                     f"--images {self.folder} is for a file of poses; {file} is of images, which state their own."
                 )
 
-    def on(self, dem: list[str], of_dem: DemOptions) -> OrientedImages:
+    def on(self, dem: list[str], of_dem: DemOptions, sigmas: Sigmas | None = None) -> OrientedImages:
         """The same, with a take-off on the elevation model as a number. Raises as `with_known_heights`."""
-        reading = with_known_heights(self.reading, self.files, self.scene, dem, of_dem)
+        reading = with_known_heights(self.reading, self.files, self.scene, dem, of_dem, sigmas)
         return dataclasses.replace(self, reading=reading)
 
     def one(self) -> tuple[pathlib.Path, Exposure]:

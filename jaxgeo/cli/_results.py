@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo.cli._archive_dem import told
+from jaxgeo.cli._assumed import with_said
 from jaxgeo.cli._console import as_json
 from jaxgeo.cli._options import OptionGroup
 
@@ -23,7 +24,8 @@ NOT_ASKED = {"as_json", "debug"}  # output options, not inputs
 def print_json(command: str, content: Mapping[str, Any]) -> None:
     """Print the result of a command.
 
-    It is one object: `command`, `jaxgeo` (the version), `inputs` (options), `assumed` (sentences), then the command's
+    It is one object: `command`, `jaxgeo` (the version), `inputs` (options), `assumed` (sentences, those printed in the
+    run too), then the command's
     own keys, `elevation_model` if that of an archive was used, and `versions` of the software. Angles are in degrees
     where names end in `_deg`, lengths in m; numbers have full precision; unknown values are null; a status is its name,
     with its sentence in `status_text`.
@@ -32,6 +34,7 @@ def print_json(command: str, content: Mapping[str, Any]) -> None:
 
     whole = {"command": command, "jaxgeo": version(), "inputs": {}, "assumed": []}
     whole |= {**content, **told(), "versions": content.get("versions", versions())}
+    whole["assumed"] = with_said(whole["assumed"])
     typer.echo(as_json(json.dumps(plain(whole), indent=1, ensure_ascii=False, allow_nan=False)))
 
 

@@ -29,6 +29,7 @@ from jaxgeo.cli._adjust_outputs import (
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
 from jaxgeo.cli._option_names import as_typed, translate_reach_errors
 from jaxgeo.cli._options import WRITING, DemFiles, DemOptions
@@ -127,7 +128,7 @@ def adjust_command(
         from jaxgeo.ties import KeptMatches as Kept
 
         surveyed = of_control.read()
-        block = _read(given.on(dem, reading_dem))
+        block = _read(given.on(dem, reading_dem, Sigmas(dem=dem_sigma)))
         views, paths = block.views, block.paths
         of_mosaic.check_no_input(paths)
         _check_images(block, output, reading_dem)

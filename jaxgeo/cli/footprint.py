@@ -18,7 +18,7 @@ from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposures import ExposureOrShotOptions, GivenExposure, GivenExposures
 from jaxgeo.cli._far_crs import note_far_crs
 from jaxgeo.cli._inputs import check_no_overwrite, read_terrain
-from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._known_heights import has_no_datum, with_known_heights
 from jaxgeo.cli._level_ground import check_ground, level_at, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
@@ -26,6 +26,7 @@ from jaxgeo.cli._screen import number_table, print_counts, print_written, track
 from jaxgeo.cli._unseen_ground import print_unseen
 
 HIT = "hit"  # the status of a whole footprint
+COVERED = "covered_share"  # column of a file
 STYLED = (".geojson", ".json", ".gpkg")
 ENDINGS = (*STYLED, ".kml", ".kmz")
 COLUMNS = {
@@ -85,7 +86,8 @@ def footprint_command(
         check_ground(ground)
         check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
         exposures, rows, outlines, terrain = _footprint((given, how), ground, output, (crs, tolerance, edges, style))
-        _show(exposures, rows, outlines, inputs if as_json else None)
+        height = "height_above_takeoff_m" if has_no_datum(how, ground) else "height_m"
+        _show(exposures, rows, outlines, inputs if as_json else None, height)
     if not any(row["status"] == HIT for row in rows):
         print_unseen("no footprint is complete", terrain, exposures.exposures[0].shot)
         raise typer.Exit(NO_ANSWER)
@@ -106,7 +108,7 @@ def _footprint(
     """(exposures, table rows, footprints, terrain), written to `output` if given."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
-    from jaxgeo.io.footprints import check_footprint_file
+    from jaxgeo.io.footprints import check_footprint_file, check_is_flat
 
     compile_quickly()
     enable_x64()
@@ -116,6 +118,8 @@ def _footprint(
     found = given.read(how, "a footprint without --shots", ground)
     attributes = _attributes([{"name": one.name} if found.are_named else one.cells for one in found.exposures])
     if output is not None:
+        if has_no_datum(how, ground):
+            check_is_flat(output, crs)
         note_far_crs(crs, found.exposures[0].shot)
         check_footprint_file(output, crs, attributes, len(found.exposures))
     terrain = None if ground.level is not None else read_terrain(ground.dem or [], ground, found.view)
@@ -125,22 +129,27 @@ def _footprint(
         outlines.append(outline)
         rows.append({"shot": index, **({"name": one.name} if found.are_named else {}), **row})
     if output is not None:
+        attributes = [one | {COVERED: _covered(row)} for one, row in zip(attributes, rows, strict=True)]
         write_footprints(output, outlines, crs=crs, attributes=attributes, edges=edges, style=style)
         print_written(output)
     return found, rows, outlines, terrain
 
 
 def _show(
-    exposures: GivenExposures, rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any] | None
+    exposures: GivenExposures,
+    rows: list[dict[str, Any]],
+    outlines: list[Any],
+    inputs: dict[str, Any] | None,
+    height: str,
 ) -> None:
-    """Print a table, or with `inputs` the full result as JSON; status counts on stderr."""
+    """Print a table, or with `inputs` the full result as JSON, with heights by a name; status counts on stderr."""
     from jaxgeo.io.footprints import WHOLE
 
     names = [row["status"] for row in rows]
     print_counts({name: names.count(name) for name in names}, len(names), "footprint", WHOLE)
     if inputs is not None:
         each = zip(rows, outlines, strict=True)
-        content = [{**row, **status_words(one.status, WHOLE), "outline": _places(one)} for row, one in each]
+        content = [{**row, **status_words(one.status, WHOLE), "outline": _places(one, height)} for row, one in each]
         print_json("footprint", {"inputs": inputs, "footprints": content, "unread": exposures.unread})
         return
     other = "shot" if exposures.are_named else "name"
@@ -151,13 +160,13 @@ def _show(
     Console(width=None if Console().is_terminal else 160).print(number_table(rows, columns, caption))
 
 
-def _places(outline: Any) -> list[dict[str, Any]]:
-    """Ground points of the image edge: clockwise in the image, from its upper left corner."""
+def _places(outline: Any, height: str) -> list[dict[str, Any]]:
+    """Ground points of the image edge: clockwise in the image, from its upper left corner; `height` names theirs."""
     import numpy as np
 
     numbers = zip(*(np.asarray(one) for one in outline.fix.position.to_degrees()), strict=True)
     each = zip(np.asarray(outline.uv), numbers, np.asarray(outline.hidden), strict=True)
-    names = ("lat_deg", "lon_deg", "height_m")
+    names = ("lat_deg", "lon_deg", height)
     return [
         {"u": u, "v": v, **dict(zip(names, place, strict=True)), "jumps_to_next": bool(hidden)}
         for (u, v), place, hidden in each
@@ -176,12 +185,17 @@ def _footprint_of(one: GivenExposure, terrain: Any, tolerance: float) -> tuple[A
     pixel = ground_sample_distance(one.sensor, one.shot, middle, terrain, atmosphere=air)
     sizes = {f"{name}_m": _known(getattr(pixel, name)) for name in ("columns", "rows", "along", "across")}
     area = _known(1e-6 * outline.area)
-    row = {"area_km2": area, "covered_area_km2": None, "covered_share": None}
+    row = {"area_km2": area, "covered_area_km2": None, COVERED: None}
     if not outline.ok:
         part = covered_part(one.sensor, one.shot, terrain, atmosphere=air, projection=outline.projection)
         row |= {"covered_area_km2": 1e-6 * part.area, "covered_share": part.share} if part.share else {}
     row |= {"hidden_m": _known(outline.hidden_length), **sizes}
     return outline, {**row, "status": Status(int(outline.status)).name}
+
+
+def _covered(row: dict[str, Any]) -> float:
+    """Share of an image that sees known ground, 0 to 1."""
+    return 1.0 if row["status"] == HIT else row[COVERED] or 0.0
 
 
 def _known(number: Any) -> float | None:
@@ -193,6 +207,6 @@ def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
     from jaxgeo.io.footprints import TAKEN
 
     rows = list(carried)
-    kept = [name for name in rows[0] if name.lower() not in TAKEN]
+    kept = [name for name in rows[0] if name.lower() not in (*TAKEN, COVERED)]
     columns = {name: numbers_or_texts([row[name] for row in rows]) for name in kept}
     return [{name: columns[name][index] for name in kept} for index in range(len(rows))]

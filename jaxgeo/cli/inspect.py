@@ -19,7 +19,7 @@ from jaxgeo.cli._common import FAULT, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposure_tables import centre_pixels, rows_of, tags_of
 from jaxgeo.cli._inputs import check_no_overwrite
-from jaxgeo.cli._known_heights import TakeoffOptions
+from jaxgeo.cli._known_heights import TakeoffOptions, relative_heights
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import number_table, print_written
@@ -71,6 +71,7 @@ def inspect_command(
             raise UserError("--tags needs --json.")
         enable_x64()
         found, unstated = _read(files, of_takeoff.known(reading, files).known_arguments)
+        found = dataclasses.replace(found, assumed=(*found.assumed, *relative_heights(reading)))
         rows = rows_of(found)
         if output is not None:
             if unstated is not None:
@@ -78,15 +79,15 @@ def inspect_command(
             if output.suffix.lower() in TRACKS:
                 from jaxgeo.io import write_track
 
-                write_track(output, found)
+                write_track(output, found, is_above_takeoff=reading.is_above_takeoff)
             else:
-                _write(output, found, rows)
+                _write(output, found, rows, has_datum=not reading.is_above_takeoff)
             print_written(output)
         print_unread(found.unread)
         if as_json:
             print_json("inspect", {"inputs": inputs, **_content(files, found, rows, unstated, tags)})
         else:
-            _show(files, found, rows, unstated)
+            _show(files, found, rows, unstated, has_datum=not reading.is_above_takeoff)
         if any(not is_refusal(one.error) for one in found.unread):
             raise typer.Exit(FAULT)
 
@@ -111,11 +112,13 @@ def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[jaxgeo.io.Acq
         return dataclasses.replace(found, assumed=assumed), str(error)
 
 
-def _write(output: pathlib.Path, found: jaxgeo.io.AcquisitionSet, rows: list[dict[str, Any]]) -> None:
-    """Write a table of shots, with columns for the vertical datum and the gimbal reference."""
+def _write(
+    output: pathlib.Path, found: jaxgeo.io.AcquisitionSet, rows: list[dict[str, Any]], *, has_datum: bool
+) -> None:
+    """Write a table of shots, with columns for the vertical datum, if there is one, and the gimbal reference."""
     from jaxgeo.io.tables import write_csv
 
-    more = {"height_datum": "ellipsoid"}
+    more = {"height_datum": "ellipsoid"} if has_datum else {}
     rows = [row | more | middle for row, middle in zip(rows, centre_pixels(found), strict=True)]
     with destination("--output", output) as stream:
         write_csv(({name: _text(name, value) for name, value in row.items()} for row in rows), stream)
@@ -192,7 +195,12 @@ def _errors(found: jaxgeo.io.Acquisition) -> dict[str, float]:
 
 
 def _show(
-    files: list[pathlib.Path], found: jaxgeo.io.AcquisitionSet, rows: list[dict[str, Any]], unstated: str | None
+    files: list[pathlib.Path],
+    found: jaxgeo.io.AcquisitionSet,
+    rows: list[dict[str, Any]],
+    unstated: str | None,
+    *,
+    has_datum: bool,
 ) -> None:
     console = Console(width=None if Console().is_terminal else 160, highlight=False)
     count, unread = len(rows), len(found.unread)
@@ -204,7 +212,7 @@ def _show(
         console.print(_sensor_line(part), markup=False)
         words = [f"{name} {value:.4g}" for name, value in _errors(part).items()]
         console.print("  errors: " + ("; ".join(words) if words else "none"), markup=False)
-    above = "as in the file" if unstated is not None else "m above WGS 84"
+    above = "as in the file" if unstated is not None else "m above WGS 84" if has_datum else "m above the take-off"
     columns, caption = _columns(rows), f"height: {above}; angles: deg"
     caption += "; off: frame centre as reported, less that of the line of sight" if "range_off_m" in columns else ""
     console.print(number_table(rows[:SHOWN], columns, caption))

@@ -16,7 +16,7 @@ import typer
 import jaxgeo
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._assumed import assumed_shares, told_shares
+from jaxgeo.cli._assumed import assumed_shares, assumed_shares_of_files, told_shares
 from jaxgeo.cli._cluster import PartsOptions, print_missing, report_failed_parts
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -189,6 +189,7 @@ def _locate_all(
             reasons=inputs.reasons,
             rings=None if outlines is None else outlines.rings,
             style=writing.style,
+            is_above_takeoff=inputs.observed.is_above_takeoff,
             **writing.drawn,
         )
         print_written(writing.output)
@@ -233,12 +234,17 @@ def _locate_on_cluster(
     print_missing(run)
     print_written(folder)
     print_counts(counts, len(observed))
+    shares = assumed_shares_of_files(inputs, [folder / name for name in run.parts], probability)
+    said = told_shares(shares, probability, count=len(observed))
+    if said is not None:
+        print_note(said)
     if as_json:
         print_json(
             "locate",
             {
                 "inputs": options.inputs | {"cluster": many.cluster, "output": folder},
                 "assumed": inputs.assumed,
+                "assumed_variance_shares": shares,
                 "parts": list(run.parts),
                 "computed": run.computed,
                 "statuses": counts,
@@ -309,6 +315,7 @@ def _check_file(writing: OutputOptions, probability: float, observed: jaxgeo.io.
         mgrs=writing.mgrs,
         reasons=observed.reasons_by(reason_not_read),
         probability=probability if has_errors else None,
+        is_above_takeoff=observed.is_above_takeoff,
     )
 
 
@@ -332,9 +339,10 @@ def _rows(inputs: LocateInputs, counts: Counter[str]) -> Iterator[Row]:
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
-    columns = iter(inputs.observed.columns)
+    columns, is_above_takeoff = iter(inputs.observed.columns), inputs.observed.is_above_takeoff
     for fixes in fixes_as_computed(inputs):
-        for row in fix_rows(fixes, height_msl(fixes)):
+        msl = None if is_above_takeoff else height_msl(fixes)
+        for row in fix_rows(fixes, msl, is_above_takeoff=is_above_takeoff):
             counts[row["status"]] += 1
             yield {**next(columns), **row}
 

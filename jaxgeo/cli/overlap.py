@@ -1,4 +1,4 @@
-"""`jaxgeo overlap`: overlap of consecutive images on the terrain."""
+"""`jaxgeo overlap`: overlap of consecutive images on the terrain, and of strips side by side."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along, NavigationFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, print_note, print_written, track
+from jaxgeo.cli._strips import CAPTION as STRIPS_CAPTION
+from jaxgeo.cli._strips import COLUMNS as OF_STRIPS
+from jaxgeo.cli._strips import as_cells, strip_rows, strips_of
 from jaxgeo.cli._unseen_ground import print_unseen, translate_unseen
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
@@ -65,6 +68,14 @@ def overlap_command(
         str | None, typer.Option(metavar="TIMES", help="Exposure times T1,T2[,...], s, with --navigation.")
     ] = None,
     along: Along = None,
+    strips: Annotated[
+        bool,
+        typer.Option(
+            "--strips",
+            help="One row per strip, its forward overlap, and per pair of neighbouring strips, their side overlap. "
+            'Strips are those of the column "strip" of --shots, else told apart by their courses.',
+        ),
+    ] = False,
     how: ReadingOptions = ReadingOptions(),
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, table on the terminal.")
@@ -76,7 +87,7 @@ def overlap_command(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Overlap of consecutive images on the terrain, one row per pair."""
+    """Overlap of consecutive images on the terrain, one row per pair; with --strips that of strips side by side too."""
     inputs = with_ground(given_options(locals()))
     with report_errors(debug):
         chosen = _chosen_format(output_format, output)
@@ -98,16 +109,29 @@ def overlap_command(
                 images = given.read(known, "overlap without --shots", ground)
                 _check_several(images, given)
             terrain = terrain_of(ground, lambda: images.exposures[0].shot, images.view)
-            rows = _overlaps(images.exposures, terrain, None if along is None else along.value)
-            partial = _partial(rows, images.exposures, terrain)
+            of_strips = strips_of(images.exposures) if strips else {}
+            axis = None if along is None else along.value
+            more: dict[str, Any] = {}
+            if of_strips:
+                found, rows, unknown = strip_rows(
+                    of_strips, terrain, lambda own, means: _overlaps(own, terrain, axis, means)
+                )
+                partial = {}
+                for number, own in of_strips.items():
+                    partial |= _partial([row for row in rows if row["strip"] == number], own, terrain)
+                more = {"strips": found, "strips_without_side": unknown}
+            else:
+                found = rows = _overlaps(images.exposures, terrain, axis)
+                partial = _partial(rows, images.exposures, terrain)
             _count(rows)
             _print_partial(partial)
             if output is not None or not as_json:
-                _write(rows, chosen, stream)
+                _write(found, chosen, stream, strips)
         print_written(output)
         if as_json:
             pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
-            print_json("overlap", {"inputs": inputs, "pairs": pairs, "partial": partial, "unread": images.unread})
+            content = {"pairs": pairs, **more, "partial": partial, "unread": images.unread}
+            print_json("overlap", {"inputs": inputs, **content})
     if not any(row["status"] in ANSWERS for row in rows):
         print_unseen("no pair has an overlap", terrain, images.exposures[0].shot)
         raise typer.Exit(NO_ANSWER)
@@ -173,7 +197,12 @@ def _check_several(images: GivenExposures, given: ExposureOrShotOptions) -> None
         raise UserError(f"{what}: overlap needs at least two {count}.")
 
 
-def _overlaps(images: Sequence[GivenExposure], terrain: Any, along: Any) -> list[dict[str, Any]]:
+def _overlaps(
+    images: Sequence[GivenExposure], terrain: Any, along: Any, means: list[float] | None = None
+) -> list[dict[str, Any]]:
+    """A row for each pair; the mean of each along the flight is added to `means`."""
+    import numpy as np
+
     from jaxgeo.coverage import overlap
     from jaxgeo.status import Status
 
@@ -183,6 +212,8 @@ def _overlaps(images: Sequence[GivenExposure], terrain: Any, along: Any) -> list
         how = {"along": along, "atmosphere": before.atmosphere, "sensor_after": own}
         with _as_options(before, after), translate_unseen(terrain, before.shot, f"{before.name} and {after.name}: "):
             found: Any = overlap(before.sensor, before.shot, after.shot, terrain, **how)
+        if means is not None:
+            means.append(float(np.mean(np.asarray(found.along))))
         numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
         row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
         rows.append({"before": before.name, "after": after.name, **row, "status": Status(int(found.status)).name})
@@ -232,13 +263,14 @@ def _count(rows: list[dict[str, Any]]) -> None:
     print_counts({name: names.count(name) for name in names}, len(names), "pair", BOTH)
 
 
-def _write(rows: list[dict[str, Any]], output_format: Format, stream: Any) -> None:
+def _write(rows: list[dict[str, Any]], output_format: Format, stream: Any, are_strips: bool) -> None:
     from jaxgeo.io.tables import write_csv
 
     if output_format is Format.table:
-        Console(file=stream, width=None if stream.isatty() else 160).print(number_table(rows, COLUMNS, CAPTION))
+        columns, caption = (OF_STRIPS, STRIPS_CAPTION) if are_strips else (COLUMNS, CAPTION)
+        Console(file=stream, width=None if stream.isatty() else 160).print(number_table(rows, columns, caption))
     else:
-        write_csv(({**row, **_texts(row)} for row in rows), stream)
+        write_csv((as_cells(row) if are_strips else {**row, **_texts(row)} for row in rows), stream)
 
 
 def _texts(row: dict[str, Any]) -> dict[str, str | None]:

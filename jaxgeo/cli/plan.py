@@ -15,13 +15,14 @@ from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
 from jaxgeo.cli._flights import FlightOptions
-from jaxgeo.cli._inputs import check_no_overwrite, view_of_shots
+from jaxgeo.cli._inputs import check_no_overwrite, single, view_of_shots
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import is_quiet, print_counts, print_written, progress_bar, stderr
+from jaxgeo.cli._strips import spacings
 from jaxgeo.cli._unseen_ground import print_unseen, translate_unseen
 from jaxgeo.cli.overlap import BOTH
 
@@ -56,6 +57,15 @@ def plan_command(
     place: Annotated[
         Place | None, typer.Option(help="With ground: require the overlap at the near edge, or where it is least.")
     ] = None,
+    side_overlap: Annotated[
+        float | None,
+        typer.Option(
+            "--side-overlap",
+            metavar="SHARE",
+            help="Also the spacing of the next strip, left and right, at which the least side overlap on the terrain "
+            "is this: 0.3 for 30 %.",
+        ),
+    ] = None,
     start: Annotated[float | None, typer.Option(help="Time of the first exposure, s (default: first record).")] = None,
     along: Along = None,
     how: ReadingOptions = ReadingOptions(),
@@ -76,15 +86,19 @@ def plan_command(
         check_ground(ground)
         check_no_overwrite("--output", output, given.inputs(how), ground.dem, ground)
         period = _check_timing(timing, overlap, place)
-        exposures = _plan(
+        if side_overlap is not None and not 0.0 <= side_overlap < 1.0:
+            raise UserError(f"--side-overlap {side_overlap:g}: must be in [0, 1), a share: 0.3 for 30 %.")
+        exposures, strips = _plan(
             (given, how),
             ground,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
             output,
+            side_overlap,
         )
         if as_json:
-            print_json("plan", {"inputs": inputs, "exposures": exposures})
+            more = {} if strips is None else {"strips": strips}
+            print_json("plan", {"inputs": inputs, "exposures": exposures, **more})
 
 
 def _check_timing(timing: str, overlap: float | None, place: Place | None) -> float | None:
@@ -118,8 +132,9 @@ def _plan(
     wishes: tuple[str, float | None, Place],
     course: tuple[float | None, Any],
     output: pathlib.Path,
-) -> list[dict[str, Any]]:
-    """Compute and write the exposures; returns their rows."""
+    side_overlap: float | None,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]] | None]:
+    """Compute and write the exposures; returns their rows, and those of strip spacings if a side overlap is wanted."""
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -154,7 +169,10 @@ def _plan(
     _summarise(found)
     if not np.asarray(found.overlaps.ok).any():
         print_unseen("no pair has an overlap", terrain, begin)
-    return _exposures(shots, sensor.gimbal.names, found.overlaps)
+    strips = None
+    if side_overlap is not None:
+        strips = spacings(sensor, list(single(shots)), terrain, side_overlap, of_flight.atmosphere)
+    return _exposures(shots, sensor.gimbal.names, found.overlaps), strips
 
 
 def _view(sensor: Any, flight: Any) -> Any:

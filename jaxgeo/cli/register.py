@@ -13,9 +13,10 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo.cli._acquisitions import ReadingOptions
-from jaxgeo.cli._assumed import print_assumed
+from jaxgeo.cli._assumed import print_assumed, with_said
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._errors import Sigmas as SigmasOfPixels
 from jaxgeo.cli._errors import pixel_pitch_of
 from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
 from jaxgeo.cli._known_heights import with_known_heights
@@ -80,7 +81,7 @@ def register_command(
         rasters = [file for one in (image, reference) for file in files_behind(one, reading.reach)]
         own = [one for one in (scene, how.positions) if one is not None]
         check_folder(output, [*rasters, *own, *terrain_files(dem, reading)])
-        with _scene_of(image, scene, how, dem, reading) as path:
+        with _scene_of(image, scene, how, (dem, reading), sigmas) as path:
             files = image, reference, path
             work, errors, pixels = _read(files, dem, reading, sigmas, pixel or [], (band, reference_band))
             output.mkdir(parents=True, exist_ok=True)
@@ -93,6 +94,7 @@ def register_command(
             inputs |= {"sigmas": given}
             with new_results(output):
                 content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
+                content |= {"assumed": with_said(errors.assumed)}
                 content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
                 write_registration_report(output / "report.json", content)
         print_written(output)
@@ -103,7 +105,11 @@ def register_command(
 
 @contextlib.contextmanager
 def _scene_of(
-    image: pathlib.Path, scene: pathlib.Path | None, how: ReadingOptions, dem: list[str], reading: DemOptions
+    image: pathlib.Path,
+    scene: pathlib.Path | None,
+    how: ReadingOptions,
+    ground: tuple[list[str], DemOptions],
+    sigmas: Sigmas,
 ) -> Iterator[pathlib.Path]:
     """The scene file; of an image that states its own pose one that is written for it. Raises `UserError`."""
     if scene is not None:
@@ -113,7 +119,9 @@ def _scene_of(
         return
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder) / f"{image.name}.toml"
-        write_scene_of(image, path, None, None, with_known_heights(how, [image], None, dem, reading))
+        typed_ones = SigmasOfPixels(position=sigmas.position, dem=sigmas.dem)
+        known = with_known_heights(how, [image], None, *ground, typed_ones)
+        write_scene_of(image, path, None, None, known)
         yield path
 
 

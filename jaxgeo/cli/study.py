@@ -20,14 +20,19 @@ from jaxgeo.cli._inputs import check_goes_with_dem, check_no_overwrite, read_ter
 from jaxgeo.cli._option_names import translate_reach_errors
 from jaxgeo.cli._options import DemOptions, expand_groups
 from jaxgeo.cli._results import AsJson, given_options, print_json
-from jaxgeo.cli._screen import print_message, print_written, working
+from jaxgeo.cli._screen import print_message, print_written
+from jaxgeo.cli._study_time import MACHINE, MEASURED, minutes_of, study_progress
 
 WIDE = 150  # characters per line in a file
+SIDE = 1000.0  # m, of the area of Xue et al. (2019) by default
 PLACES = "places"  # folder of what workers have evaluated
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, defaults for the navigation of a real image
 
 studies = typer.Typer(
-    cls=Commands, help="Reproduce published results; each takes several minutes on two cores.", no_args_is_help=True
+    cls=Commands,
+    help=f"Reproduce published results; each takes minutes of processor time, of which most is compilation: "
+    f"{', '.join(f'{name} {minutes_of(name)}' for name in MEASURED)} on {MACHINE}.",
+    no_args_is_help=True,
 )
 
 Folder = Annotated[
@@ -61,7 +66,7 @@ def li2020_command(
         _begin(output)
         from jaxgeo.studies import li2020
 
-        _show(li2020, lambda: li2020.run(seed=seed), output, inputs if as_json else None)
+        _show(li2020, lambda: li2020.run(seed=seed), output, inputs if as_json else None, True)
 
 
 @studies.command("li2023", epilog=examples_of("li2023"))
@@ -87,6 +92,7 @@ def li2023_command(
         many.check()
         _begin(output)
         from jaxgeo.studies import li2023
+        from jaxgeo.studies.li2023.report import SAMPLES
 
         def run() -> Any:
             if many.cluster is None:
@@ -105,16 +111,15 @@ def li2023_command(
                         f"name another folder, or remove it."
                     ) from error
 
-        _show(li2023, run, output, inputs if as_json else None)
+        is_usual = many.cluster is None and samples == SAMPLES
+        _show(li2023, run, output, inputs if as_json else None, is_usual)
 
 
 @studies.command("xue2019", epilog=examples_of("xue2019"))
 @expand_groups
 def xue2019_command(
     output: Folder = None,
-    size: Annotated[
-        float, typer.Option(help="Side of the area, m; 5000 in the paper, with about 1600 images.")
-    ] = 1000.0,
+    size: Annotated[float, typer.Option(help="Side of the area, m; 5000 in the paper, with about 1600 images.")] = SIDE,
     trials: Annotated[int, typer.Option(help="Smaller blocks with other noise, to test the standard deviations.")] = 0,
     seed: Annotated[int, typer.Option(help="Random seed of the noise.")] = 0,
     plane_limit: Annotated[
@@ -131,8 +136,7 @@ def xue2019_command(
 ) -> None:
     """Simulated block of Xue et al. (2019): direct georeferencing, free network, self-calibration, boresight.
 
-    Takes minutes, mostly compilation. Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and
-    with --output the exit code is 1.
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
     inputs = given_options(locals())
     with report_errors(debug):
@@ -141,9 +145,9 @@ def xue2019_command(
         from jaxgeo.studies import xue2019
 
         limits = _limits(plane_limit, height_limit, limit_source)
-        _show(
-            xue2019, lambda: xue2019.run(seed, size, trials=trials, limits=limits), output, inputs if as_json else None
-        )
+        is_usual = size == SIDE and not trials
+        run = lambda: xue2019.run(seed, size, trials=trials, limits=limits)  # noqa: E731
+        _show(xue2019, run, output, inputs if as_json else None, is_usual)
 
 
 @studies.command("gu2017", epilog=examples_of("gu2017"))
@@ -175,7 +179,7 @@ def gu2017_command(
 ) -> None:
     """Registration of Gu and Qiao (2017): its table, an image end to end, blocks and ties, searches, frames.
 
-    Takes minutes, mostly compilation. Without a real image, one is simulated over the packaged elevation model.
+    Without a real image, one is simulated over the packaged elevation model.
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
     inputs = given_options(locals())
@@ -197,7 +201,7 @@ def gu2017_command(
             terrain = read_terrain(dem or [], reading, padded=False)  # sheets have its own posts
             with translate_reach_errors():
                 given = gu2017.read(image, reference, scene, terrain, sigmas, reading.reach)
-        _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
+        _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None, given is None)
 
 
 @studies.command("all", epilog=examples_of("all"))
@@ -290,18 +294,19 @@ def _begin(folder: pathlib.Path | None) -> None:
     enable_x64()
 
 
-def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
+def _show(
+    study: Any, run: Callable[[], Any], folder: pathlib.Path | None, inputs: dict[str, Any] | None, is_usual: bool
+) -> None:
     """Print the tables, or JSON with `inputs`; with a folder, write tables and figures to it and print the verdicts
-    only."""
-    console = _console()
-    with working("compiling and computing"):
+    only. `is_usual`: whether the options that the time depends on are the default ones."""
+    console, name = _console(), study.__name__.rpartition(".")[2]
+    with study_progress(name, is_usual=is_usual):
         report = run()
     sheets = study.sheets_of(report)
     if inputs is None:
         for sheet in sheets if folder is None else sheets[-1:]:  # the last is that of the verdicts
             console.print(sheet.to_rich(console.width))
     else:
-        name = study.__name__.rpartition(".")[2]
         print_json(f"study {name}", {"inputs": inputs, "tables": [_content(sheet) for sheet in sheets]})
     if folder is None:
         return

@@ -122,6 +122,7 @@ def locate_frames(
         mgrs=mgrs,
         ellipses=ellipses,
         probability=probability if accuracy else None,
+        is_above_takeoff=observed.is_above_takeoff,
     )
     each = parts_of(observed, terrain, int(rows))
     written = Files(pathlib.Path(folder).absolute(), files, setting)
@@ -288,7 +289,7 @@ def identity(observed: Observations, terrain: Any, written: Files, rows: int) ->
         "frames": digest_of((batches, repr(observed.columns), observed.reasons)),
         "terrain": digest_of(ground),
         "accuracy": str(setting.accuracy and tuple(setting.accuracy)),
-        "output": digest_of((f"{out.crs!r} {out.heights!r}", out.mgrs, out.ellipses)),
+        "output": digest_of((f"{out.crs!r} {out.heights!r}", out.mgrs, out.ellipses) + (True,) * out.is_above_takeoff),
         "rows of a part": str(rows),
         "margin": f"{setting.margin!r} m" if has_errors and isinstance(terrain, DemFiles) else "",
     }

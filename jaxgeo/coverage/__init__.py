@@ -11,6 +11,16 @@ from jaxgeo.coverage.flight import Compensation, FlightNoise, Strip
 from jaxgeo.coverage.gaps import Flights, LinearGaps, fly, linear_gaps, linear_is_valid, required_overlap
 from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point_gimbal
 from jaxgeo.coverage.polygons import VisibleGround, polygon_overlap, visible_ground
+from jaxgeo.coverage.strips import (
+    SideOverlap,
+    StripOutline,
+    StripSpacing,
+    neighbouring_strips,
+    side_overlap,
+    split_strips,
+    strip_outline,
+    strip_spacing,
+)
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan
 from jaxgeo.sensor.line_of_sight import LineOfSight
 from jaxgeo.sensor.root_finder import FixedNewton
@@ -34,7 +44,10 @@ __all__ = [
     "Plan",
     "Pointing",
     "SeesNoGround",
+    "SideOverlap",
     "Strip",
+    "StripOutline",
+    "StripSpacing",
     "VelocityHeight",
     "VisibleGround",
     "compensate",
@@ -48,11 +61,16 @@ __all__ = [
     "linear_is_valid",
     "local_projection",
     "near_edge",
+    "neighbouring_strips",
     "overlap",
     "plan",
     "point_gimbal",
     "polygon_overlap",
     "required_overlap",
+    "side_overlap",
+    "split_strips",
+    "strip_outline",
+    "strip_spacing",
     "visible_ground",
 ]
 

@@ -13,7 +13,7 @@ from jaxgeo._checks import check_is
 from jaxgeo.fix import Fix
 from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io.geoid import height_msl
-from jaxgeo.io.tables import FIX_COLUMNS, fix_rows
+from jaxgeo.io.tables import ABOVE_TAKEOFF, FIX_COLUMNS, fix_rows
 from jaxgeo.status import Status
 from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, Method
 from jaxgeo.uncertainty.accuracy_record import reasons
@@ -25,6 +25,7 @@ SAME = 0.01  # m: tolerance between a fix and the fix of its accuracy
 FEWEST, MOST = 16, 512  # covariances per batch, powers of two: few compilations, 0.2 GB of memory
 COV = [(0, 0, "ee"), (0, 1, "en"), (0, 2, "eu"), (1, 1, "nn"), (1, 2, "nu"), (2, 2, "uu")]
 FIX_DECIMALS = {name: places for name, places in FIX_COLUMNS.items() if places is not None}
+FIX_DECIMALS[ABOVE_TAKEOFF] = FIX_DECIMALS["fix_height_m"]
 
 
 class Figures(NamedTuple):
@@ -76,14 +77,21 @@ def figures_of(
     return _with_ellipses(name, columns._replace(probability=level), radii_too=accuracy is None)
 
 
-def rows_of(fixes: Fix, figures: Figures | None, reasons: Sequence[str | None] | None = None) -> list[dict[str, Any]]:
+def rows_of(
+    fixes: Fix,
+    figures: Figures | None,
+    reasons: Sequence[str | None] | None = None,
+    *,
+    is_above_takeoff: bool = False,
+) -> list[dict[str, Any]]:
     """A row for each fix: columns of `FIX_COLUMNS`, the status as a sentence, and the figures; None if unknown.
 
-    Heights above mean sea level are above EGM96, which is bundled. `reasons` that are not None replace
-    the sentence of the status.
+    Heights above mean sea level are above EGM96, which is bundled; `is_above_takeoff` as for `fix_rows`.
+    `reasons` that are not None replace the sentence of the status.
     """
     rows = []
-    for i, own in enumerate(fix_rows(fixes, height_msl(fixes))):
+    msl = None if is_above_takeoff else height_msl(fixes)
+    for i, own in enumerate(fix_rows(fixes, msl, is_above_takeoff=is_above_takeoff)):
         reason = None if reasons is None else reasons[i]
         row = {"index": i, **own, "status_text": Status[own["status"]].message if reason is None else reason}
         rows.append(row if figures is None else row | _figures_row(figures, i))

@@ -23,6 +23,7 @@ from jaxgeo.io._gpx import TrackPoint, as_bytes, gpx
 from jaxgeo.io._kml import RADIUS, Placemark, kml, kmz
 from jaxgeo.io._map_crs import MapCRS
 from jaxgeo.io._outlines import line as line_through
+from jaxgeo.io.tables import ABOVE_TAKEOFF
 from jaxgeo.status import Status
 
 PLACE = ("map_x", "map_y", "map_z")  # of a table
@@ -47,11 +48,13 @@ class FixTable(NamedTuple):
     metadata: Mapping[str, Any]
     detected: tuple[BaseGeometry | None, ...] = ()  # outlines of what was detected; empty if there are none
     style: bool = False  # whether a GeoPackage holds a style
+    is_above_takeoff: bool = False  # whether heights are above a take-off of unknown height: points have none then
 
     @property
     def points(self) -> list[BaseGeometry | None]:
-        """Points with heights; None for a fix without coordinates."""
-        return [shapely.Point(place) if np.isfinite(place).all() else None for place in self.places]
+        """Points with heights above a datum, if there is one; None for a fix without coordinates."""
+        axes = 2 if self.is_above_takeoff else 3
+        return [shapely.Point(place[:axes]) if np.isfinite(place).all() else None for place in self.places]
 
 
 def _outline_row(table: FixTable, i: int) -> dict[str, Any]:
@@ -71,6 +74,8 @@ def _csv(table: FixTable) -> bytes:
     writer = None
     for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True)):
         mapped = {name: x if math.isfinite(x) else None for name, x in zip(PLACE, place.tolist(), strict=True)}
+        if table.is_above_takeoff:
+            del mapped["map_z"]
         line = row | mapped | {"crs": table.metadata["crs"]}
         line["vertical_datum"] = line.pop("vertical_datum")  # moved to the end
         if table.detected:
@@ -103,7 +108,7 @@ def _geojson(table: FixTable) -> bytes:
 
 def _geopackage(table: FixTable) -> bytes:
     fixes = [Feature(point, row) for point, row in zip(table.points, table.rows, strict=True)]
-    layers = {"fixes": Layer(fixes, table.chart.crs, "Point Z")}
+    layers = {"fixes": Layer(fixes, table.chart.crs, "Point" if table.is_above_takeoff else "Point Z")}
     drawn = [Feature(one, _outline_row(table, i)) for i, one in enumerate(table.outlines) if one is not None]
     if drawn:
         kinds = {one.geometry.geom_type for one in drawn if one.geometry is not None}
@@ -151,12 +156,18 @@ def _titles(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+ABOVE_SEA = "Heights of points are above mean sea level, EGM96; fix_height_m is above the WGS 84 ellipsoid."
+ON_THE_GROUND = (
+    f"{ABOVE_TAKEOFF} is above the take-off, whose own height is unknown: points are drawn on the ground of the map."
+)
+
+
 def _kml(table: FixTable) -> bytes:
     points, areas = [], []
     for i, (title, row, place) in enumerate(zip(_titles(table.rows), table.rows, table.places, strict=True)):
         known = bool(np.isfinite(place).all())
         style = "lost" if not known else "fix" if row["status"] == Status.hit.name else "uncertain"
-        at = tuple(place.tolist()) if known else None
+        at = tuple(place.tolist()[: 2 if table.is_above_takeoff else 3]) if known else None
         points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at, when(row)))
         if table.outlines[i] is not None:
             own = _outline_row(table, i)
@@ -173,7 +184,7 @@ def _kml(table: FixTable) -> bytes:
         if one is not None
     ]
     share = table.metadata.get("probability")
-    about = "Heights of points are above mean sea level, EGM96; fix_height_m is above the WGS 84 ellipsoid."
+    about = ON_THE_GROUND if table.is_above_takeoff else ABOVE_SEA
     about += f" Outlines hold the truth with a probability of {share:g}." if areas else ""
     try:
         folders = {"Fixes": points} | ({"Ellipses": areas} if areas else {})
@@ -213,11 +224,16 @@ def _kmz(table: FixTable) -> bytes:
 def _gpx(table: FixTable) -> bytes:
     """One track of the fixes with coordinates, in their order, with times where they are in UTC."""
     points = [
-        TrackPoint(title, *place.tolist(), time=when(row), about=_radii(row))
+        TrackPoint(title, float(place[0]), float(place[1]), height, time=when(row), about=_radii(row))
         for title, row, place in zip(_titles(table.rows), table.rows, table.places, strict=True)
         if np.isfinite(place).all()
+        for height in [None if table.is_above_takeoff else float(place[2])]
     ]
-    about = "Fixes on the ground on WGS 84, heights above mean sea level (EGM96)."
+    about = "Fixes on the ground on WGS 84, " + (
+        "without heights: that of the take-off is unknown."
+        if table.is_above_takeoff
+        else "heights above mean sea level (EGM96)."
+    )
     try:
         return as_bytes(gpx(about, [("Fixes", points)]))
     except ValueError as error:

@@ -12,13 +12,13 @@ NAMESPACE = "http://www.topografix.com/GPX/1/1"
 
 
 class TrackPoint(NamedTuple):
-    """A point of a track: longitude and latitude in deg on WGS 84, height above EGM96 in m, time (ISO 8601) or None,
-    and a description or None."""
+    """A point of a track: longitude and latitude in deg on WGS 84, height above EGM96 in m or None, time (ISO 8601) or
+    None, and a description or None."""
 
     name: str
     lon: float
     lat: float
-    height: float
+    height: float | None
     time: str | None
     about: str | None = None
 
@@ -33,7 +33,8 @@ def gpx(about: str, tracks: Sequence[tuple[str, Sequence[TrackPoint]]]) -> ET.El
         segment = ET.SubElement(track, "trkseg")
         for one in points:
             point = ET.SubElement(segment, "trkpt", lat=f"{one.lat:.10f}", lon=f"{one.lon:.10f}")
-            texts = {"ele": f"{one.height:.4f}", "time": one.time, "name": one.name, "desc": one.about}
+            height = None if one.height is None else f"{one.height:.4f}"
+            texts = {"ele": height, "time": one.time, "name": one.name, "desc": one.about}
             for tag, text in texts.items():
                 if text is not None:
                     _text(point, tag, text)

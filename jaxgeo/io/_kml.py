@@ -32,6 +32,7 @@ BALLOON = {
     "fix_lat_deg": ("latitude, deg", "z.7f"),
     "fix_lon_deg": ("longitude, deg", "z.7f"),
     "fix_height_m": ("height above WGS 84, m", "z.2f"),
+    "fix_height_above_takeoff_m": ("height above the take-off, m", "z.2f"),
     "fix_height_msl_m": ("height above mean sea level (EGM96), m", "z.2f"),
     "status_text": ("status", ""),
     "accuracy_text": ("accuracy", ""),
@@ -42,16 +43,17 @@ NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Placemark(NamedTuple):
-    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude, height), an area, a line, or None;
-    `when`, a time as ISO 8601, or None.
+    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude) with or without a height, an area,
+    a line, or None; `when`, a time as ISO 8601, or None.
 
-    Degrees on WGS 84, heights in m above EGM96, as in the standard. Areas and lines are clamped to the ground.
+    Degrees on WGS 84, heights in m above EGM96, as in the standard. Areas, lines and points without a height are
+    clamped to the ground.
     """
 
     name: str
     style: str
     columns: Mapping[str, Any]
-    place: tuple[float, float, float] | BaseGeometry | None
+    place: tuple[float, float, float] | tuple[float, float] | BaseGeometry | None
     when: str | None = None
 
 
@@ -115,7 +117,7 @@ def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
             _polygon(parent, part) if part.geom_type == "Polygon" else _line(parent, part)
     elif mark.place is not None:
         point = ET.SubElement(element, "Point")
-        _text(point, "altitudeMode", "absolute")
+        _text(point, "altitudeMode", "absolute" if len(mark.place) == 3 else "clampToGround")
         _text(point, "coordinates", _coordinates([mark.place]))
 
 

@@ -16,13 +16,17 @@ from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.vertical import INSTEAD, HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
 
 ELLIPSOID = "WGS 84 ellipsoid"
+TAKEOFF = "unknown (heights are above the take-off)"
 CLOSE = 1.0  # m: tolerance of semi-axes of ellipsoids with equivalent heights, such as GRS 80
 
 Area = tuple[float, float, float, float] | None
 
 
 class MapCRS(NamedTuple):
-    """The CRS of points, its horizontal part, the vertical datum, and the transformation from WGS 84."""
+    """The CRS of points, its horizontal part, the vertical datum, and the transformation from WGS 84.
+
+    Without `to_space` and `shift` points have no heights in it (`flat_map_crs`): their third coordinate is as given.
+    """
 
     crs: pyproj.CRS
     flat: pyproj.CRS
@@ -46,7 +50,9 @@ class MapCRS(NamedTuple):
         places = np.full((len(lon_deg), 3), np.nan)
         known = np.isfinite(lon_deg) & np.isfinite(lat_deg) & np.isfinite(height)
         given = lon_deg[known], lat_deg[known], height[known]
-        if self.shift is None:
+        if self.shift is None and self.to_space is None:
+            places[known] = np.stack([*self.to_flat.transform(*given[:2]), given[2]], axis=-1)
+        elif self.shift is None:
             assert self.to_space is not None
             places[known] = np.stack(self.to_space.transform(*given), axis=-1)
         else:
@@ -91,6 +97,24 @@ def map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
     to_space = _operation(name, "EPSG:4979", whole, area)
     datum = ELLIPSOID if _is_wgs84(whole) else f"ellipsoid of {whole.geodetic_crs.name}"  # pyright: ignore[reportOptionalMemberAccess]
     return MapCRS(coded(whole), flat, datum, to_flat.transformer, to_space.transformer, None, str(to_space))
+
+
+def flat_map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
+    """The caller's horizontal CRS, for points whose heights are above a take-off of unknown height.
+
+    Raises `ValueError` as `map_crs`, and for `heights` and a CRS with heights, which are then unknown.
+    """
+    known = _known(name, "crs", crs)
+    if heights is not None or len(known.axis_info) == 3 or known.is_compound:
+        asked = f"heights = {heights!r}" if heights is not None else f"the crs {known.name!r}"
+        raise ValueError(
+            f"{name}: {asked} needs heights above a datum, and these are above a take-off of unknown height; leave "
+            f"it out, or give the height of the take-off."
+        )
+    if not (known.is_geographic or known.is_projected):
+        raise ValueError(f"{name}: a map needs a projected or geographic crs; {known.name!r} is a {known.type_name}.")
+    to_flat = _operation(name, "EPSG:4326", known, area)
+    return MapCRS(coded(known), known, TAKEOFF, to_flat.transformer, None, None, f"{to_flat}")
 
 
 def degrees_outside(crs: Any, lat: float, lon: float) -> float:

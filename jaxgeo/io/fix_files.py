@@ -21,11 +21,12 @@ from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._features import WGS84
 from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_figures, rows_of
 from jaxgeo.io._fix_formats import FIXED_CRS, PLACE, STYLED, WRITERS, FixTable
-from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
+from jaxgeo.io._map_crs import MapCRS, code_of, described, flat_map_crs, map_crs
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.io._outlines import outline
 from jaxgeo.io._qgis import qml
 from jaxgeo.io.geoid import EGM96, degrees_of
+from jaxgeo.io.tables import ABOVE_TAKEOFF
 from jaxgeo.status import Status
 
 STYLE = ".qml"
@@ -49,6 +50,7 @@ def write_fixes(
     reasons: Sequence[str | None] | None = None,
     rings: Sequence[np.ndarray | None] | None = None,
     style: bool = False,
+    is_above_takeoff: bool = False,
 ) -> None:
     """Write fixes and their accuracy to .csv, .geojson or .json, .gpkg, .parquet, .kml, .kmz or .gpx.
 
@@ -81,6 +83,9 @@ def write_fixes(
 
     - `style`: also a style for QGIS, points by status and outlines without a fill: in a GeoPackage as default of its
       layers (table `layer_styles`), of GeoJSON in a file beside it with the ending .qml.
+    - `is_above_takeoff`: whether heights of fixes are above a take-off whose own height is unknown. Their column is
+      `fix_height_above_takeoff_m`, without those above the ellipsoid and EGM96; points have no height, in KML they are
+      clamped to the ground, and `crs` must be horizontal.
 
     The file appears only when complete. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
     that is unknown, unsuitable or does not cover the fixes, unknown heights, and arguments that do not match the fixes;
@@ -107,9 +112,10 @@ def write_fixes(
     check_is(fixes, Fix, "fixes", "Stack many into one record, as `jax.vmap` of `locate` gives them.")
     fixes = _batch(target, fixes)
     with destination("fixes", target, binary=True) as stream:
-        chart = _chart(target, crs, heights, fixes.position)
+        chart = _chart(target, crs, heights, fixes.position, is_above_takeoff)
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
-        table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=ellipses)
+        how: dict[str, Any] = {"mgrs": mgrs, "reasons": reasons, "is_above_takeoff": is_above_takeoff}
+        table = _table_of(target, chart, fixes, figures, attributes, ellipses=ellipses, **how)
         detected = _detected(f"{target}", chart, rings, len(table.rows))
         stream.write(write(table._replace(detected=detected, style=style)))
     if style and target.suffix.lower() != ".gpkg":
@@ -133,6 +139,7 @@ def check_fix_file(
     mgrs: bool = False,
     reasons: Sequence[str | None] | None = None,
     probability: float | None = None,
+    is_above_takeoff: bool = False,
 ) -> None:
     """Raises as `write_fixes` would for this name, CRS, vertical datum and attributes, before fixes are computed.
 
@@ -140,18 +147,22 @@ def check_fix_file(
     their accuracy, None without one.
     """
     target = pathlib.Path(path)
-    write, chart, count = _writer(target), _chart(target, crs, heights, near), np.size(near.lat)
+    write, chart = _writer(target), _chart(target, crs, heights, near, is_above_takeoff)
+    count = np.size(near.lat)
     nothing = np.full(count, np.nan)
     position, status = Geodetic(lat=nothing, lon=nothing, height=nothing), np.full(count, Status.file_not_read, np.int8)
     fixes = Fix(position, np.full((count, 3), np.nan), nothing, nothing, nothing, nothing, status)
     figures = None if probability is None else no_figures(count, probability)
-    table = _table_of(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
+    how: dict[str, Any] = {"mgrs": mgrs, "reasons": reasons, "is_above_takeoff": is_above_takeoff}
+    table = _table_of(target, chart, fixes, figures, attributes, ellipses=False, **how)
     one = slice(None) if write in FIXED_CRS else slice(1)  # any row may have text that XML cannot hold
     write(table._replace(rows=table.rows[one], places=table.places[one], outlines=table.outlines[one]))
 
 
-def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic) -> MapCRS:
+def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic, is_above_takeoff: bool) -> MapCRS:
     chart_of = _fixed_crs if _writer(target) in FIXED_CRS else map_crs
+    if is_above_takeoff:
+        chart_of = _fixed_flat_crs if _writer(target) in FIXED_CRS else flat_map_crs
     lat, lon, _ = degrees_of(near)
     return chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
@@ -166,14 +177,17 @@ def _table_of(
     mgrs: bool,
     reasons: Any,
     ellipses: bool,
+    is_above_takeoff: bool,
 ) -> FixTable:
-    rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
+    rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons, is_above_takeoff)
     lat, lon, height = degrees_of(fixes.position)
     places = chart.points(f"{target}", lon, lat, height)
     outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
     given = attribute_rows(f"{target}", attributes, len(rows), "fixes")
     carried = frozenset(str(name) for row in given or () for name in row)
-    return FixTable(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
+    metadata = _metadata(chart, figures, is_above_takeoff)
+    table = FixTable(f"{target}", chart, rows, places, outlines, kinds, carried, metadata)
+    return table._replace(is_above_takeoff=is_above_takeoff)
 
 
 def _writer(target: pathlib.Path) -> Callable[[FixTable], bytes]:
@@ -215,12 +229,29 @@ def _fixed_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
     return own
 
 
+def _fixed_flat_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
+    """The fixed CRS of KML and GPX without heights; raises for any other."""
+    asked = flat_map_crs(name, crs, heights, area)
+    if code_of(asked.crs) not in WGS84:
+        raise ValueError(
+            f"{name}: {name[-3:].upper()} has longitudes and latitudes on WGS 84; leave crs out, or write a .gpkg."
+        )
+    return asked
+
+
 def _rows(
-    name: str, fixes: Fix, figures: Figures | None, attributes: Any, chart: MapCRS, mgrs: bool, reasons: Any
+    name: str,
+    fixes: Fix,
+    figures: Figures | None,
+    attributes: Any,
+    chart: MapCRS,
+    mgrs: bool,
+    reasons: Any,
+    is_above_takeoff: bool,
 ) -> list[dict[str, Any]]:
     if reasons is not None and len(reasons) != len(fixes.status):
         raise ValueError(f"{name}: reasons must be one, or None, for each of {len(fixes.status)} fixes.")
-    own = rows_of(fixes, figures, reasons)
+    own = rows_of(fixes, figures, reasons, is_above_takeoff=is_above_takeoff)
     extra = checked_attributes(name, attributes, len(own), {*own[0], *TAKEN})
     squares: list[dict[str, Any]] = [{} for _ in own]
     if mgrs:
@@ -265,7 +296,7 @@ def _detected(
     return tuple(found)
 
 
-def _metadata(chart: MapCRS, figures: Figures | None) -> Mapping[str, Any]:
+def _metadata(chart: MapCRS, figures: Figures | None, is_above_takeoff: bool) -> Mapping[str, Any]:
     """Metadata common to all fixes of a file."""
     try:
         software = f"jaxgeo {importlib.metadata.version('jaxgeo')}"
@@ -275,9 +306,10 @@ def _metadata(chart: MapCRS, figures: Figures | None) -> Mapping[str, Any]:
     if figures is not None:
         facts["probability"] = figures.probability
         facts["figures"] = "radii, and outlines, hold the truth with the probability; bias and cov are of one sigma"
-    facts["fix_columns"] = (
-        "fix_lat_deg, fix_lon_deg on WGS 84, fix_height_m above its ellipsoid, fix_height_msl_m: EGM96"
-    )
+    heights = "fix_height_m above its ellipsoid, fix_height_msl_m: EGM96"
+    if is_above_takeoff:
+        heights = f"{ABOVE_TAKEOFF} above the take-off, whose own height is unknown"
+    facts["fix_columns"] = f"fix_lat_deg, fix_lon_deg on WGS 84, {heights}"
     facts["units"] = UNITS
     facts["statuses"] = {one.name: one.message for one in Status}
     return facts

@@ -14,7 +14,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._fix_columns import figures_of, no_figures, plain
 from jaxgeo.io._fix_formats import as_parquet
-from jaxgeo.io._map_crs import map_crs
+from jaxgeo.io._map_crs import flat_map_crs, map_crs
 from jaxgeo.io.fix_files import _extent, _table_of, check_fix_file
 from jaxgeo.io.geoid import degrees_of
 from jaxgeo.uncertainty import Accuracy
@@ -33,6 +33,7 @@ class FixParts:
       transformation to the CRS.
     - `probability`: that of the accuracy, or None without.
     - `attributes`: the Arrow type of each attribute.
+    - `is_above_takeoff`: as in `write_fixes`.
     """
 
     crs: Any
@@ -42,6 +43,7 @@ class FixParts:
     probability: float | None
     area: tuple[float, float, float, float] | None
     attributes: Mapping[str, str]
+    is_above_takeoff: bool = False
 
     @classmethod
     def of(
@@ -54,17 +56,19 @@ class FixParts:
         mgrs: bool = False,
         ellipses: bool = True,
         probability: float | None = None,
+        is_above_takeoff: bool = False,
     ) -> FixParts:
         """The parts of fixes of n exposures at the positions `near`, with an attribute of each by name.
 
         Raises as `write_fixes`.
         """
-        how: dict[str, Any] = {"mgrs": mgrs, "probability": probability}
+        how: dict[str, Any] = {"mgrs": mgrs, "probability": probability, "is_above_takeoff": is_above_takeoff}
         check_fix_file("fixes.parquet", crs, heights, near, attributes=attributes, **how)
         lat, lon, _ = degrees_of(near)
         kinds = {name: {type(plain(row[name])) for row in attributes} - {type(None)} for name in attributes[0]}
         types = {name: _type_of(found) for name, found in kinds.items()}
-        return cls(crs, heights, mgrs, ellipses and probability is not None, probability, _extent(lon, lat), types)
+        drawn = ellipses and probability is not None
+        return cls(crs, heights, mgrs, drawn, probability, _extent(lon, lat), types, is_above_takeoff)
 
     def write(
         self,
@@ -79,12 +83,14 @@ class FixParts:
 
         Raises as `write_fixes`.
         """
-        chart, count = map_crs(f"{path}", self.crs, self.heights, self.area), len(index)
+        chart_of = flat_map_crs if self.is_above_takeoff else map_crs
+        chart, count = chart_of(f"{path}", self.crs, self.heights, self.area), len(index)
         figures = None
         if self.probability is not None:
             figures = figures_of(f"{path}", fixes, accuracy, None, None, self.probability)
             figures = no_figures(count, self.probability) if figures is None else figures
         how: dict[str, Any] = {"mgrs": self.mgrs, "reasons": reasons, "ellipses": self.ellipses}
+        how |= {"is_above_takeoff": self.is_above_takeoff}
         table = _table_of(path, chart, fixes, figures, attributes, **how)
         for row, number in zip(table.rows, index.tolist(), strict=True):
             row["index"] = number

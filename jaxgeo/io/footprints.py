@@ -21,6 +21,7 @@ from jaxgeo.io._attributes import attribute_rows
 from jaxgeo.io._features import Feature, has_heights
 from jaxgeo.io._geopackage import check_vector_driver, one_layer
 from jaxgeo.io._kml import Placemark, as_file, kml
+from jaxgeo.io._map_crs import flat_map_crs
 from jaxgeo.io._outlines import line, outline, runs
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
 from jaxgeo.io._qgis import qml
@@ -30,7 +31,7 @@ from jaxgeo.status import Status
 DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG", ".kml": "KML", ".kmz": "KMZ"}
 IN_KML = ("KML", "KMZ")
 LAYER = "footprints"
-OWN = ("index", "kind", "kind_of_edge", "status", "status_text", "hidden_share", "area_m2")
+OWN = ("index", "kind", "kind_of_edge", "complete", "status", "status_text", "hidden_share", "area_m2")
 TAKEN = (*OWN, "fid", "geom", "geometry")  # the last three are reserved by GeoPackage and its readers
 WHOLE = "The whole edge of the image sees ground."
 FEWEST = 256  # minimum padded number of points; larger sizes are powers of two
@@ -72,9 +73,10 @@ def write_footprints(
 ) -> None:
     """Write image outlines on the ground to GeoJSON (.geojson, .json), GeoPackage (.gpkg) or KML (.kml, .kmz).
 
-    Each footprint is a polygon with the attributes `index` (position in `footprints`), `kind` "outline", `status` and
-    `status_text`, `hidden_share` (share of the outline's 3D length that crosses hidden ground) and `area_m2`.
-    Incomplete footprints have no geometry. Outer rings run anticlockwise; polygons are cut at the date line.
+    Each footprint is a polygon with the attributes `index` (position in `footprints`), `kind` "outline", `complete`
+    (whether the whole edge of the image sees ground), `status` and `status_text`, `hidden_share` (share of the
+    outline's 3D length that crosses hidden ground) and `area_m2`. Incomplete footprints have no geometry. Outer rings
+    run anticlockwise; polygons are cut at the date line.
 
     - `crs`: anything pyproj takes. Points have no heights, except in a geographic 3D CRS, such as "EPSG:4979". GeoJSON
       in another CRS than WGS 84 names it with the pre-RFC 7946 member, which not every reader supports. KML is always
@@ -142,6 +144,11 @@ def check_footprint_file(
     target = pathlib.Path(path)
     _checked_attributes(target, attributes, count)
     checked_map(target, crs, _driver(target))
+
+
+def check_is_flat(path: str | os.PathLike[str], crs: Any) -> None:
+    """Raises `ValueError` for a CRS with heights, for footprints whose heights are above no datum."""
+    flat_map_crs(f"{pathlib.Path(path)}", crs, None, None)
 
 
 def _seen(footprint: Footprint) -> _Seen:
@@ -259,6 +266,7 @@ def _own(index: int, seen: _Seen) -> dict[str, Any]:
     return {
         "index": index,
         "kind": "outline",
+        "complete": seen.is_whole,
         "status": seen.status.name,
         "status_text": _sentence(seen.status),
         "hidden_share": float(steps[seen.hidden].sum() / steps.sum()) if seen.is_whole else None,
@@ -276,5 +284,5 @@ def _edges(index: int, seen: _Seen, places: np.ndarray, chart: _Map, extra: dict
     labels = np.where(known, np.where(seen.hidden, HIDDEN, SEEN), 0)
     for label, run in runs(labels):
         own = {"index": index, "kind": "edge", "kind_of_edge": "hidden" if label == HIDDEN else "seen"}
-        own |= {"status": seen.status.name, "status_text": _sentence(seen.status)}
+        own |= {"complete": seen.is_whole, "status": seen.status.name, "status_text": _sentence(seen.status)}
         yield Feature(line(places[run], chart.turn), own | extra)

@@ -14,8 +14,9 @@ from jaxgeo.sensor import FrameCamera
 
 FORMS = (
     'camera="focal=8.8mm,pitch=2.41um" (focal length and pixel size), camera="focal=8.8mm,sensor=13.2mm" (and width of '
-    'the sensor), camera="focal=3666px" (focal length in pixels of the image), camera="camera.toml" (a scene file, '
-    'or its table [camera] alone), or camera="cameras.json" (of OpenSfM or OpenDroneMap)'
+    'the sensor), camera="focal=3666px" (focal length in pixels of the image), camera="film=24mm" (that equivalent for '
+    '35 mm film), camera="camera.toml" (a scene file, or its table [camera] alone), or camera="cameras.json" (of '
+    "OpenSfM or OpenDroneMap)"
 )
 OWN_CAMERA = (
     'camera="focal=8.8mm,pitch=2.41um,size=5472x3648"; of a focal length for 35 mm film, '

@@ -23,6 +23,7 @@ from jaxgeo.io.windows import Window, square_shape
 from jaxgeo.observation import Observation
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
+from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import Accuracy
 
 WIDER = 4  # times the margin, if errors may reach its edge
@@ -84,6 +85,25 @@ def locate_over_files(
                     found.append((part, own[1]))
     status = np.where(seen == Status.hit, status, seen)
     return Located(dataclasses.replace(fixes, status=status), _joined(found, fixes), reasons)
+
+
+def window_over_files(observed: Observations, files: DemFiles, *, margin: float = SMALLEST) -> Dem:
+    """The part of a DEM on disk that the pixels of a single batch may see, with a `margin` in m.
+
+    Raises `ValueError` if their lines of sight pass none of it, or need more posts than `MAX_POSTS`; else as
+    `locate_over_files`.
+    """
+    (batch,) = observed.batches
+    check_straight(files, observed.atmosphere)
+    rays, _ = rays_of(batch)
+    _, _, windows = windows_of(rays, files, MAX_POSTS, lambda _: "its line of sight")
+    found = list(windows)
+    if len(found) != 1:
+        raise ValueError(f"the lines of sight need {len(found)} parts of the elevation model; expected one.")
+    index, window, whole = found[0]
+    wider = _wider(rays, index, files, window, margin)
+    taken = window if files.too_large(wider, MAX_POSTS) else wider
+    return files.load(taken, whole_ceiling=whole, size=square_shape(taken.shape))
 
 
 def check_straight(terrain: Any, atmosphere: Atmosphere | None) -> None:

@@ -117,6 +117,8 @@ class Observations:
     - `assumed`: a sentence for each assumption.
     - `assumed_errors`: for each kind of default error source, (its class, a sentence with its numbers).
     - `source`: the files as named in messages.
+    - `is_above_takeoff`: whether heights, those of fixes on level ground too, are above a take-off whose own height is
+      unknown, and so above no datum.
     """
 
     batches: tuple[ObservationBatch, ...]
@@ -125,6 +127,7 @@ class Observations:
     assumed: tuple[str, ...] = ()
     assumed_errors: tuple[tuple[type[AbstractSource], str], ...] = ()
     source: str = ""
+    is_above_takeoff: bool = False
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -222,7 +225,8 @@ class Observations:
         self, fixes: Fix, accuracy: Accuracy | None = None, *, reasons: Sequence[str | None] | None = None
     ) -> list[Row]:
         """For each row its input columns, then the columns of `write_fixes` except `index`."""
+        told = self.reasons if reasons is None else reasons
         figures = figures_of("table", fixes, accuracy, None, None, None)
-        rows = rows_of(fixes, figures, self.reasons if reasons is None else reasons)
+        rows = rows_of(fixes, figures, told, is_above_takeoff=self.is_above_takeoff)
         pairs = zip(rows, self.columns, strict=True)
         return [own | {name: row[name] for name in row if name != "index"} for row, own in pairs]

@@ -25,6 +25,8 @@ PIXEL_COLUMNS: dict[str, Limits] = {"u": (-1e7, 1e7, "pixels"), "v": (-1e7, 1e7,
 
 GIMBAL_REFERENCE = "gimbal_reference"  # column with the reference of readings: "body" or "level"
 
+ABOVE_TAKEOFF = "fix_height_above_takeoff_m"  # in place of heights above a datum, where that of the take-off is unknown
+
 # Decimals written by column of a fix. Ten decimals of a degree are a hundredth of a millimetre.
 FIX_COLUMNS = {
     "fix_lat_deg": 10,
@@ -97,7 +99,7 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels:
     `FileNotFoundError`.
     """
     wanted = number_columns(readings, pixels=pixels)
-    table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS if pixels else ())
+    table = read_csv(path, "table of shots", wanted, taken=(*FIX_COLUMNS, ABOVE_TAKEOFF) if pixels else ())
     numbers = {name: table.numbers(name, limits, unknown_too=True) for name, limits in wanted.items()}
     if pixels:
         check_not_shares(path, np.stack([numbers[name] for name in PIXEL_COLUMNS], axis=-1))
@@ -111,10 +113,11 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels:
     return ShotTable(numbers, rows)
 
 
-def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:
+def fix_rows(fix: Fix, height_msl: np.ndarray | None = None, *, is_above_takeoff: bool = False) -> Iterator[Row]:
     """One row of `FIX_COLUMNS` for each fix of a batch (n,); unknown numbers are None, the status is its name.
 
-    `height_msl` are heights above mean sea level in m, if known.
+    `height_msl` are heights above mean sea level in m, if known. With `is_above_takeoff` the heights of the fixes are
+    above a take-off whose own height is unknown: their column is `ABOVE_TAKEOFF`, in place of both others.
     """
     lat, lon, height = degrees_of(fix.position)
     angles = [np.rad2deg(x) for x in (fix.incidence_ellipsoid, fix.incidence_surface, fix.slope)]
@@ -123,7 +126,14 @@ def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:
     decimals = list(FIX_COLUMNS.values())
     for i, code in enumerate(np.asarray(fix.status)):
         numbers = [_rounded(column[i], places) for column, places in zip(columns, decimals[:-1], strict=True)]
-        yield dict(zip(FIX_COLUMNS, [*numbers, Status(int(code)).name], strict=True))
+        row = dict(zip(FIX_COLUMNS, [*numbers, Status(int(code)).name], strict=True))
+        yield _above_takeoff(row) if is_above_takeoff else row
+
+
+def _above_takeoff(row: Row) -> Row:
+    """A row with its height as one above the take-off, and none above a datum."""
+    names = {"fix_height_m": ABOVE_TAKEOFF}
+    return {names.get(name, name): value for name, value in row.items() if name != "fix_height_msl_m"}
 
 
 def _rounded(value: Any, places: int | None) -> float | None:
@@ -137,7 +147,11 @@ def write_csv(rows: Iterable[Row], stream: TextIO) -> None:
         if writer is None:
             writer = csv.DictWriter(Rows(stream), list(row), lineterminator="\r\n")
             writer.writerow({name: safe_cell(name) for name in row})
-        writer.writerow({name: safe_cell(_text(value, FIX_COLUMNS.get(name))) for name, value in row.items()})
+        writer.writerow({name: safe_cell(_text(value, _decimals(name))) for name, value in row.items()})
+
+
+def _decimals(name: str) -> int | None:
+    return FIX_COLUMNS.get("fix_height_m" if name == ABOVE_TAKEOFF else name)
 
 
 def _text(value: Any, places: int | None) -> Any:
@@ -149,13 +163,14 @@ def _text(value: Any, places: int | None) -> Any:
 def write_geojson(rows: Iterable[Row], stream: TextIO, numbers: Collection[str] = ()) -> None:
     """Write rows as GeoJSON points [lon, lat, ellipsoidal height], everything else as properties.
 
-    A fix without coordinates is a feature with a null geometry. Columns named in `numbers` are
+    Points have no height where rows have none above the ellipsoid. A fix without coordinates is a feature with a null
+    geometry. Columns named in `numbers` are
     written as numbers where rows have them as text. NaN and infinities, which JSON lacks, are null.
     """
     stream.write('{"type": "FeatureCollection", "features": [')
     for i, row in enumerate(rows):
         properties = {name: _typed(value, name in numbers) for name, value in row.items()}
-        place = [properties[name] for name in ("fix_lon_deg", "fix_lat_deg", "fix_height_m")]
+        place = [properties[name] for name in ("fix_lon_deg", "fix_lat_deg", "fix_height_m") if name in properties]
         geometry = None if None in place else {"type": "Point", "coordinates": place}
         feature = {"type": "Feature", "geometry": geometry, "properties": properties}
         stream.write(("," if i else "") + "\n" + json.dumps(feature, allow_nan=False))

@@ -20,24 +20,36 @@ from jaxgeo.io.geoid import degrees_of, height_msl
 
 EXTENDED = "http://www.google.com/kml/ext/2.2"  # of KML, for tracks with times
 ABOUT = "Positions of the platform on WGS 84, heights above mean sea level (EGM96)."
+ABOUT_TAKEOFF = "Positions of the platform on WGS 84; heights are above the take-off, whose own height is unknown."
 
 
 class _Track(NamedTuple):
-    """Points of one track: names, longitude and latitude in deg, height above EGM96 in m, times as text or None."""
+    """Points of one track: names, longitude and latitude in deg, height above EGM96 in m, or above a take-off of
+    unknown height, times as text or None."""
 
     name: str
     names: list[str]
     places: np.ndarray
     times: list[str | None]
+    is_above_takeoff: bool = False
+
+    @property
+    def mode(self) -> str:
+        """The altitude mode of KML. It has none above a take-off; above the ground is the same over level ground."""
+        return "relativeToGround" if self.is_above_takeoff else "absolute"
 
 
-def write_track(path: str | os.PathLike[str], found: Acquisition | AcquisitionSet) -> None:
+def write_track(
+    path: str | os.PathLike[str], found: Acquisition | AcquisitionSet, *, is_above_takeoff: bool = False
+) -> None:
     """Write the positions of exposures as a track to .gpx (GPX 1.1) or .kml (KML 2.2).
 
     Each acquisition is a track, in order of its times. Heights are above mean sea level (EGM96). Points have a time
     (ISO 8601) if the acquisition's times are in UTC; in KML, a track with times for all points is a `gx:Track`, else a
-    line. The file appears only when complete. Raises `ValueError` for another ending, a path that cannot be written
-    to, and names that XML cannot hold; `TypeError` for other arguments.
+    line. With `is_above_takeoff` heights are above a take-off whose own height is unknown: GPX then has none, and in
+    KML they are above the ground below, as they are where that is as high as the take-off. The file appears only when
+    complete. Raises `ValueError` for another ending, a path that cannot be written to, and names that XML cannot hold;
+    `TypeError` for other arguments.
     """
     target = pathlib.Path(path)
     write = writer_of(target)
@@ -45,7 +57,7 @@ def write_track(path: str | os.PathLike[str], found: Acquisition | AcquisitionSe
         check_is(found, Acquisition, "found", "Or an AcquisitionSet, as read by `read_acquisitions`.")
     parts = found.parts if isinstance(found, AcquisitionSet) else (found,)
     with destination("path", target, binary=True) as stream:
-        root = write([_track(one) for one in parts])
+        root = write([_track(one, is_above_takeoff) for one in parts])
         stream.write(as_bytes(root))
 
 
@@ -57,44 +69,49 @@ def writer_of(target: pathlib.Path) -> Callable[[list[_Track]], ET.Element]:
         raise ValueError(f"{target}: tracks are written to files that end in {', '.join(WRITERS)}.") from None
 
 
-def _track(found: Acquisition) -> _Track:
+def _track(found: Acquisition, is_above_takeoff: bool) -> _Track:
     order = np.argsort(np.asarray(found.shots.time), kind="stable")
     position = found.shots.pose.position
-    lat, lon, _ = degrees_of(position)
-    places = np.stack([lon, lat, height_msl(position)], axis=-1)[order]
+    lat, lon, height = degrees_of(position)
+    places = np.stack([lon, lat, height if is_above_takeoff else height_msl(position)], axis=-1)[order]
     clock = np.asarray(found.shots.time)[order].tolist()
     times = [utc_text(time) if found.time_is_utc else None for time in clock]
-    return _Track(os.path.basename(found.path), found.names[order].tolist(), places, times)
+    return _Track(os.path.basename(found.path), found.names[order].tolist(), places, times, is_above_takeoff)
+
+
+def _about(tracks: list[_Track]) -> str:
+    return ABOUT_TAKEOFF if any(track.is_above_takeoff for track in tracks) else ABOUT
 
 
 def _gpx(tracks: list[_Track]) -> ET.Element:
-    return gpx(ABOUT, [(track.name, _points(track)) for track in tracks])
+    return gpx(_about(tracks), [(track.name, _points(track)) for track in tracks])
 
 
 def _points(track: _Track) -> list[TrackPoint]:
     rows = zip(track.names, track.places.tolist(), track.times, strict=True)
-    return [TrackPoint(name, lon, lat, height, time) for name, (lon, lat, height), time in rows]
+    has_datum = not track.is_above_takeoff
+    return [TrackPoint(name, lon, lat, height if has_datum else None, time) for name, (lon, lat, height), time in rows]
 
 
 def _kml(tracks: list[_Track]) -> ET.Element:
     root = ET.Element("kml", {"xmlns": NAMESPACE, "xmlns:gx": EXTENDED})
     document = ET.SubElement(root, "Document")
     _text(document, "name", "Tracks")
-    _text(document, "description", ABOUT)
+    _text(document, "description", _about(tracks))
     for track in tracks:
         mark = ET.SubElement(document, "Placemark")
         _text(mark, "name", track.name)
         points = track.places.tolist()
         if all(time is not None for time in track.times):
             element = ET.SubElement(mark, "gx:Track")
-            _text(element, "altitudeMode", "absolute")
+            _text(element, "altitudeMode", track.mode)
             for time in track.times:
                 _text(element, "when", f"{time}")
             for lon, lat, height in points:
                 _text(element, "gx:coord", f"{lon:.10f} {lat:.10f} {height:.4f}")
             continue
         line = ET.SubElement(mark, "LineString")
-        _text(line, "altitudeMode", "absolute")
+        _text(line, "altitudeMode", track.mode)
         twice = points if len(points) > 1 else points * 2  # a line has two points
         _text(line, "coordinates", " ".join(f"{lon:.10f},{lat:.10f},{height:.4f}" for lon, lat, height in twice))
     return root

@@ -36,8 +36,9 @@ def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     answer["lat"], answer["lon"] = words.coordinate(lat, "N", "S"), words.coordinate(lon, "E", "W")
     answer["sexagesimal"] = f"{words.sexagesimal(lat, 'N', 'S')}, {words.sexagesimal(lon, 'E', 'W')}"
     answer["mgrs"] = _mgrs(lat, lon)
-    answer["height"] = words.metres(row["fix_height_m"])
-    answer["msl"] = words.metres(row["fix_height_msl_m"])
+    answer["height"] = words.metres(row[subject.height_column])
+    answer["above"] = subject.above
+    answer["msl"] = None if subject.is_above_takeoff else words.metres(row["fix_height_msl_m"])
     answer["facts"] = [
         ("slant range", words.length(row["slant_range_m"])),
         ("incidence", f"{words.number(row['incidence_surface_deg'])}°"),
@@ -129,7 +130,7 @@ def camera_of(subject: ReportData, index: int) -> list[tuple[str, str]]:
         facts.append(("focal length", f"{focal[0]:.2f} pixels"))
     lat, lon = (float(np.rad2deg(float(x))) for x in (pose.position.lat, pose.position.lon))
     facts.append(("position", f"{words.coordinate(lat, 'N', 'S')}, {words.coordinate(lon, 'E', 'W')}"))
-    facts.append(("height", f"{words.metres(float(pose.position.height))} m above the WGS 84 ellipsoid"))
+    facts.append(("height", f"{words.metres(float(pose.position.height))} m {subject.above}"))
     angles = ((name, float(np.rad2deg(float(getattr(pose, name))))) for name in ("heading", "pitch", "roll"))
     facts.append(("attitude", ", ".join(f"{name} {value:.3f}°" for name, value in angles)))
     readings = np.rad2deg(np.asarray(shot.gimbal_readings, np.float64).reshape(-1))

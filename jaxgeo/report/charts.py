@@ -24,8 +24,8 @@ SHOWN = 0.99  # share of the samples
 FAR = 8.0  # times the largest circle: limit of the initial extent
 
 
-def section_chart(section: Section, name: str) -> Any:
-    """Chart of the line of sight over its terrain section, with its intersections."""
+def section_chart(section: Section, name: str, above: str = "above WGS 84") -> Any:
+    """Chart of the line of sight over its terrain section, with its intersections; `above` is what heights are."""
     keep = _thinned(section)
     unit, scale = ("km", 1e-3) if section.distance[-1] >= 3000.0 else ("m", 1.0)
     km, sight, ground = scale * section.distance[keep], section.sight[keep], section.ground[keep]
@@ -35,7 +35,7 @@ def section_chart(section: Section, name: str) -> Any:
     room = max(high - low, 1.0)
     bottom = low - 0.12 * room
     x_range, y_range = Range1d(start=0.0, end=float(km[-1])), Range1d(start=bottom, end=high + 0.08 * room)
-    chart = _empty(name, f"distance on the ellipsoid, {unit}", "height above WGS 84, m", x_range, y_range)
+    chart = _empty(name, f"distance on the ellipsoid, {unit}", f"height {above}, m", x_range, y_range)
     for first, last in _runs(known):
         part = slice(first, last + 1)
         chart.varea(km[part], bottom, ground[part], fill_color=EARTH)

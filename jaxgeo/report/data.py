@@ -10,11 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._checks import as_array
 from jaxgeo._locate import locate
 from jaxgeo.earth import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.io.located import axis_of, take_rows, terrain_at
 from jaxgeo.io.observations import Observations
+from jaxgeo.io.tables import ABOVE_TAKEOFF
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import have_fix
 from jaxgeo.terrain import AbstractTerrain
@@ -31,7 +33,8 @@ class ReportData:
     `axes`, for (sensor, shots, uv, terrain, errors), is 0 if there is an entry per pixel and None if one is shared.
     `errors` are error sources or an `ErrorModel`, or None; `accuracy` is None without errors or without any fix.
     `labels` hold a `name` or table columns per pixel. `looks` replaces `look` if exposures have no common structure
-    (several cameras); `sensor` and `errors` are then those of the first.
+    (several cameras); `sensor` and `errors` are then those of the first. `is_above_takeoff`: whether heights are above
+    a take-off whose own height is unknown.
     """
 
     sensor: Sensor
@@ -46,6 +49,22 @@ class ReportData:
     probability: float = 0.9
     labels: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
     looks: Callable[[int], tuple[Any, ...]] | None = None
+    is_above_takeoff: bool = False
+
+    @property
+    def height_column(self) -> str:
+        """The column of a fix with its height."""
+        return ABOVE_TAKEOFF if self.is_above_takeoff else "fix_height_m"
+
+    @property
+    def above(self) -> str:
+        """What heights are above, in words."""
+        return "above the take-off" if self.is_above_takeoff else "above the WGS 84 ellipsoid"
+
+    @property
+    def above_in_short(self) -> str:
+        """`above` for charts and maps."""
+        return "above the take-off" if self.is_above_takeoff else "above WGS 84"
 
     @classmethod
     def of(
@@ -66,7 +85,7 @@ class ReportData:
         `in_axes` as for `accuracy`. Raises as `locate` and `accuracy`, and `ValueError` if the
         number of labels differs.
         """
-        uv = np.atleast_2d(np.asarray(uv, np.float64))
+        uv = np.atleast_2d(np.asarray(as_array(uv, "uv"), np.float64))
         if labels and len(labels) != len(uv):
             raise ValueError(f"labels must be one for each of {len(uv)} pixels; got {len(labels)}.")
         found = None
@@ -115,6 +134,7 @@ class ReportData:
             probability,
             [observed.columns[row] for row in rows],
             None if looks is None else looks.__getitem__,
+            observed.is_above_takeoff,
         )
 
     def __len__(self) -> int:

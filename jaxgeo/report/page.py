@@ -99,7 +99,11 @@ def report_html(
     """
     header = ReportHeader() if header is None else header
     details = details_of(subject, most=most) if details is None else details
-    rows = rows_of(subject.fixes, figures_of("report", subject.fixes, subject.accuracy, None, None, None))
+    rows = rows_of(
+        subject.fixes,
+        figures_of("report", subject.fixes, subject.accuracy, None, None, None),
+        is_above_takeoff=subject.is_above_takeoff,
+    )
     places = places_of(subject, details)
     reliefs, heights = _ground(subject, details, places)
     charts: dict[str, Any] = {"map": map_of(subject, details, rows, places, reliefs)}
@@ -170,7 +174,9 @@ def _shown(
 ) -> dict[str, Any]:
     """Template data of one pixel; its charts are added to `charts`."""
     is_dull = not isinstance(subject.terrain, Dem) and len(subject) > 1  # the same section for every line of sight
-    section = None if detail.section is None or is_dull else section_chart(detail.section, f"section-{number}")
+    section = None
+    if detail.section is not None and not is_dull:
+        section = section_chart(detail.section, f"section-{number}", subject.above_in_short)
     cloud = cloud_chart(detail, f"cloud-{number}", subject.probability)
     charts |= {f"section-{number}": section} if section is not None else {}
     charts |= {f"cloud-{number}": cloud} if cloud is not None else {}

@@ -11,6 +11,7 @@ from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 
 MOST = 2000  # rows per page
+OF_MSL = "; msl above mean sea level (EGM96)."
 A_YEAR = 3.2e7  # s; later times are counted from 1970, earlier ones from the start of a file
 
 
@@ -23,7 +24,8 @@ def table_of(subject: ReportData, rows: Sequence[Mapping[str, Any]]) -> dict[str
     headers = [("name", "")] if has_names else []
     headers += [("time", "by the clock of the camera, or UTC where it ends with Z")] if has_times else []
     headers += [("column", ""), ("row", ""), ("latitude, deg", ""), ("longitude, deg", "")]
-    headers += [("height, m", "above the WGS 84 ellipsoid"), ("msl, m", "above mean sea level, EGM96")]
+    headers += [("height, m", subject.above)]
+    headers += [] if subject.is_above_takeoff else [("msl, m", "above mean sea level, EGM96")]
     headers += [(f"CE{percent}, m", "horizontal"), (f"LE{percent}, m", "vertical")] if is_sure else []
     headers += [("status", ""), ("range, m", "slant range"), ("incidence, deg", "at the surface")]
     headers += [("by", "method")] if is_sure else []
@@ -36,7 +38,8 @@ def table_of(subject: ReportData, rows: Sequence[Mapping[str, Any]]) -> dict[str
         cells += [_time(label)] if has_times else []
         cells += [_pixel(u), _pixel(v)]
         cells += [_cell(row["fix_lat_deg"], 7), _cell(row["fix_lon_deg"], 7)]
-        cells += [_cell(row["fix_height_m"], 2), _cell(row["fix_height_msl_m"], 2)]
+        cells += [_cell(row[subject.height_column], 2)]
+        cells += [] if subject.is_above_takeoff else [_cell(row["fix_height_msl_m"], 2)]
         cells += [_radius(row.get(ce)), _radius(row.get(le))] if is_sure else []
         status = Status[row["status"]]
         cells.append({"text": status.name.replace("_", " "), "key": int(status), "title": status.message, "kind": ""})
@@ -44,7 +47,9 @@ def table_of(subject: ReportData, rows: Sequence[Mapping[str, Any]]) -> dict[str
         cells += [_text(row.get("accuracy_method"))] if is_sure else []
         kind = "" if status == Status.hit else "doubtful" if row["slant_range_m"] is not None else "none"
         body.append({"cells": cells, "kind": kind})
-    return {"headers": headers, "rows": body, "count": len(rows), "left_out": max(len(rows) - MOST, 0)}
+    of_heights = f"Heights are {subject.above}" + ("." if subject.is_above_takeoff else OF_MSL)
+    left_out = max(len(rows) - MOST, 0)
+    return {"headers": headers, "rows": body, "count": len(rows), "left_out": left_out, "of_heights": of_heights}
 
 
 def _text(value: Any) -> dict[str, Any]:

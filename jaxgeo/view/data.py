@@ -21,6 +21,7 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.io._fix_columns import figures_of, rows_of
 from jaxgeo.io.located import CHUNKS, axis_of, fixes_in_parts, located_with_accuracy, terrain_at
 from jaxgeo.io.observations import ObservationBatch, Observations, axes_of
+from jaxgeo.io.tables import ABOVE_TAKEOFF
 from jaxgeo.observation import Observation
 from jaxgeo.plot import words
 from jaxgeo.plot.relief import Box, encoded, relief_pixels
@@ -88,7 +89,8 @@ class ViewData:
             with self._locks["accuracy"]:
                 both = located_with_accuracy(observed, [ground], self.probability)
         fix, found = both if both is not None else (self._located(observed.batches[0], ground), None)
-        (row,) = rows_of(fix, figures_of("view", fix, found, None, None, None), None)
+        figures = figures_of("view", fix, found, None, None, None)
+        (row,) = rows_of(fix, figures, None, is_above_takeoff=self.observed.is_above_takeoff)
         answer: dict[str, Any] = {"image": image, "u": u, "v": v, **_plain(row)}
         answer |= _texts(row, int(np.asarray(fix.status)[0]), bool(_count(fix)[0]))
         if found is not None:
@@ -119,6 +121,7 @@ class ViewData:
             "label": label,
             "status_text": found.message,
             "height_m": float(height[image]),
+            "above": self._above,
             "seen": [{"image": i, "u": float(uv[i, 0]), "v": float(uv[i, 1])} for i in order],
         }
 
@@ -161,6 +164,10 @@ class ViewData:
         return None if found is None else (*encoded(found[0]), found[1])
 
     @property
+    def _above(self) -> str:
+        return "above the take-off" if self.observed.is_above_takeoff else "above the WGS 84 ellipsoid"
+
+    @property
     def ground_text(self) -> str:
         """What the ground is, in words."""
         ground = self.grounds[0]
@@ -168,7 +175,7 @@ class ViewData:
             heights = np.asarray(ground.height, np.float64).reshape(-1)
             known = heights[np.isfinite(heights)]
             low, high = (words.metres(float(x), 1) for x in (known.min(), known.max())) if known.size else ("?", "?")
-            return f"level ground {low if low == high else f'{low} to {high}'} m above the WGS 84 ellipsoid"
+            return f"level ground {low if low == high else f'{low} to {high}'} m {self._above}"
         return "elevation model"
 
     def warm_up(self) -> None:
@@ -247,10 +254,19 @@ def _texts(row: dict[str, Any], code: int, is_fix: bool) -> dict[str, Any]:
     return answer | {
         "lat_text": words.coordinate(lat, "N", "S"),
         "lon_text": words.coordinate(lon, "E", "W"),
-        "height_text": f"{words.metres(row['fix_height_m'])} m above the WGS 84 ellipsoid",
-        "msl_text": f"{words.metres(row['fix_height_msl_m'])} m above mean sea level (EGM96)",
+        **_heights(row),
         "range_text": words.length(row["slant_range_m"]),
         "incidence_text": f"{words.number(row['incidence_surface_deg'])}°",
+    }
+
+
+def _heights(row: dict[str, Any]) -> dict[str, str]:
+    """Texts of the heights of a fix."""
+    if ABOVE_TAKEOFF in row:
+        return {"height_text": f"{words.metres(row[ABOVE_TAKEOFF])} m above the take-off"}
+    return {
+        "height_text": f"{words.metres(row['fix_height_m'])} m above the WGS 84 ellipsoid",
+        "msl_text": f"{words.metres(row['fix_height_msl_m'])} m above mean sea level (EGM96)",
     }
 
 

@@ -558,3 +558,37 @@ def test_an_outline_over_the_date_line_is_cut_there(tmp_path: pathlib.Path) -> N
     assert shape.is_valid
     assert sorted(round(part.area, 9) for part in shape.geoms) == [0.02, 0.04]
     assert all(part.exterior.is_ccw for part in shape.geoms)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_heights_above_a_take_off_of_unknown_height_claim_no_datum(tmp_path: pathlib.Path, suffix: str) -> None:
+    """One column that says what it is, two-dimensional points in the horizontal CRS, and no name of a datum."""
+    path = tmp_path / f"fixes{suffix}"
+    write_fixes(path, made(), crs="EPSG:32632", is_above_takeoff=True)
+    if suffix == ".csv":
+        with open(path, newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        assert "map_z" not in rows[0]
+        places = [(float(row["map_x"]), float(row["map_y"])) for row in rows]
+    else:
+        rows, points, _ = read(path)
+        assert not any(point.has_z for point in points)
+        places = [(point.x, point.y) for point in points]
+    to_map = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
+    for row, place, (lat, lon, height) in zip(rows, places, ALPS, strict=True):
+        assert place == pytest.approx(to_map.transform(lon, lat), abs=1e-3)
+        assert float(row["fix_height_above_takeoff_m"]) == pytest.approx(height, abs=1e-4)
+        assert not {"fix_height_m", "fix_height_msl_m"} & set(row)
+        assert row["vertical_datum"].startswith("unknown")
+    if suffix == ".gpkg":
+        assert pyogrio.read_info(path, layer="fixes")["geometry_type"] == "Point"
+        assert pyproj.CRS(pyogrio.read_info(path, layer="fixes")["crs"]).to_epsg() == 32632
+
+
+@pytest.mark.parametrize("how", [{"heights": "EPSG:5773"}, {"crs": "EPSG:4979"}, {"crs": "EPSG:9707"}])
+@pytest.mark.parametrize("suffix", [".gpkg", ".kml"])
+def test_heights_above_no_datum_are_not_brought_to_one(
+    tmp_path: pathlib.Path, how: dict[str, str], suffix: str
+) -> None:
+    with pytest.raises(ValueError, match=r"needs heights above a datum.*give the height of the take-off"):
+        write_fixes(tmp_path / f"fixes{suffix}", made(), is_above_takeoff=True, **how)

@@ -61,6 +61,22 @@ def test_points_stand_above_the_sea_and_a_lost_fix_has_no_place(tmp_path: pathli
     assert "EGM96" in (root.findtext("kml:Document/kml:description", None, KML) or "")
 
 
+def test_points_above_a_take_off_of_unknown_height_are_on_the_ground(tmp_path: pathlib.Path) -> None:
+    """OGC KML 2.2 (OGC 07-147r2, 2008), 9.20: `absolute` is above the sea, which is not known; clamped it is true."""
+    validator = pytest.importorskip("fastkml.validator")
+    path = tmp_path / "fixes.kml"
+    write_fixes(path, made(), is_above_takeoff=True)
+    assert validator.validate(file_to_validate=path)
+    root = ET.fromstring(path.read_bytes())
+    points = root.findall(".//kml:Point", KML)
+    assert [point.findtext("kml:altitudeMode", None, KML) for point in points] == ["clampToGround"] * 3
+    for point, (lat, lon, _) in zip(points, ALPS, strict=True):
+        found = [float(x) for x in (point.findtext("kml:coordinates", None, KML) or "").split(",")]
+        assert found == pytest.approx([lon, lat], abs=1e-10)
+    assert "EGM96" not in path.read_text()
+    assert "msl" not in path.read_text()
+
+
 @pytest.mark.parametrize(
     "suffix, place", [(".kml", "kml:Document/kml:Document/kml:Placemark"), (".gpx", ".//{*}trkpt")]
 )

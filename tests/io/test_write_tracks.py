@@ -109,3 +109,24 @@ def test_the_command_line_writes_tracks(tmp_path: pathlib.Path, flight: Acquisit
     assert "use .csv, .gpx or .kml" in refused.stderr
     with pytest.raises(ValueError, match=r"tracks are written to files that end in \.gpx, \.kml"):
         write_track(tmp_path / "track.csv", flight)
+
+
+def test_tracks_above_a_take_off_of_unknown_height_claim_no_sea_level(tmp_path: pathlib.Path) -> None:
+    """GPX 1.1 (Topografix, 2004): `ele` may be left out; KML: heights above the ground below, not above the sea."""
+    path = tmp_path / "flight.csv"
+    path.write_text(airdata(), encoding="utf-8")
+    found = read_acquisition(path, takeoff_height=0.0)
+    heights = np.sort(np.asarray(found.shots.pose.position.height))
+    line = ["inspect", str(path), "--takeoff-height", "0", "-o"]
+    for name in ("track.kml", "track.gpx"):
+        assert CliRunner().invoke(app, [*line, str(tmp_path / name)]).exit_code == 0
+    track = ET.parse(tmp_path / "track.kml").getroot().find(".//gx:Track", KML)
+    assert track is not None
+    assert track.findtext("kml:altitudeMode", None, KML) == "relativeToGround"
+    places = np.array([(one.text or "").split() for one in track.findall("gx:coord", KML)], float)
+    np.testing.assert_allclose(np.sort(places[:, 2]), heights, atol=1e-4)
+    assert "<ele>" not in (tmp_path / "track.gpx").read_text()
+    for one in ("track.kml", "track.gpx"):
+        assert "sea level" not in (tmp_path / one).read_text()
+    assert CliRunner().invoke(app, [*line, str(tmp_path / "shots.csv")]).exit_code == 0
+    assert "height_datum" not in (tmp_path / "shots.csv").read_text()

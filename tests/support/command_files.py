@@ -94,6 +94,14 @@ def _shots(path: pathlib.Path) -> None:
     path.write_text("\n".join([f"name,{POSE},{READINGS},u,v", *rows]) + "\n")
 
 
+def _strips(path: pathlib.Path) -> None:
+    """Two strips of three images straight down, north and back, 600 m apart."""
+    places = [(36.290 + 0.004 * k, -84.250, 0) for k in range(3)]
+    places += [(36.298 - 0.004 * k, -84.2433, 180) for k in range(3)]
+    rows = [f"{k},{lat:.4f},{lon},5500,{heading},0,0,0,0" for k, (lat, lon, heading) in enumerate(places)]
+    path.write_text("\n".join([f"name,{POSE},{READINGS}", *rows]) + "\n")
+
+
 def _flight(path: pathlib.Path) -> None:
     """Straight and level flight at 170 m/s."""
     lines = [f"time_s,{POSE},{READINGS}"]
@@ -167,6 +175,7 @@ FILES: dict[str, Callable[[pathlib.Path], object]] = {
     "dem.tif": _copy(DEM),
     "tiles": _tiles,
     "shots.csv": _shots,
+    "strips.csv": _strips,
     "flight.csv": _flight,
     "DJI_0042.JPG": _image,
     "images": _images,

@@ -118,7 +118,8 @@ def _other_takeoff(tags: list[ImageTags], maker: Maker, takeoff: np.ndarray, abo
     return [
         f"{DOUBT}Absolute less relative altitude gives {np.median(told[known]):.1f} m above the ellipsoid for the "
         f"take-off, {abs(off):.1f} m {side} than takeoff_height=: the take-off was elsewhere, or the elevation model "
-        f'has trees there. Give height_datum="ellipsoid" in place of takeoff_height=.'
+        f'has trees there. Give height_datum="ellipsoid" in place of takeoff_height=, unless the altitude is the wrong '
+        f"one, which has no part in heights above the take-off."
     ]
 
 

@@ -1,11 +1,13 @@
-"""Heights above the point of take-off as heights above the ellipsoid."""
+"""Heights above the point of take-off as heights above the ellipsoid, and their errors."""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 
+from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.datum_names import is_ellipsoid
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -31,3 +33,17 @@ def heights_above_takeoff(
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
+
+
+def with_takeoff_sigma(found: Acquisition, sigma: float | None, takeoff: float | None) -> Acquisition:
+    """The exposures with the standard deviation `sigma` in m of the height of their take-off, if that is given.
+
+    Raises `TableError` for one that is negative or infinite, or without a take-off.
+    """
+    if sigma is None:
+        return found
+    if not 0.0 <= sigma < np.inf:
+        raise TableError(f"{found.path}: takeoff_sigma= must be 0 m or more, and finite; got {sigma:g}.")
+    if takeoff is None:
+        raise TableError(f"{found.path}: takeoff_sigma= is that of takeoff_height=; give both, or leave it out.")
+    return dataclasses.replace(found, takeoff_sigma=float(sigma))

@@ -23,6 +23,7 @@ from jaxgeo.io.acquisitions._by_time import by_time
 from jaxgeo.io.acquisitions._camera_checks import with_camera_doubts
 from jaxgeo.io.acquisitions._film_errors import with_film_errors
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
+from jaxgeo.io.acquisitions._takeoff import with_takeoff_sigma
 from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.ardupilot import BINARY as DATAFLASH
 from jaxgeo.io.acquisitions.ardupilot import FORM as ARDUPILOT_FORM
@@ -95,7 +96,8 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     their subtitles, flight logs (AirData, Litchi, Flight Reader, ArduPilot, PX4), a scene.
 
     `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
-    images, videos, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
+    images, videos, subtitles, flight logs), with `takeoff_sigma`, its standard deviation in m, part of the default
+    errors of position; `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
     `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `times`, such as "00:01:23", "83.5" or
     "2024-05-10T10:20:31Z": exposures at these times, interpolated (telemetry, videos, subtitles, flight logs but those
     of photos); `crs` and `camera`, a camera name (orientations, parameters, reconstructions), or a lens or file as for
@@ -117,7 +119,9 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """
     form = form_of(path)
     given = {name: value for name, value in how.items() if value is not None}
-    return reader_of(form, given)(path, **checked_options(path, form, given))
+    takeoff_sigma = given.pop("takeoff_sigma", None)
+    found = reader_of(form, given)(path, **checked_options(path, form, given))
+    return with_takeoff_sigma(found, takeoff_sigma, given.get("takeoff_height"))
 
 
 def reader_of(form: Form, given: Mapping[str, Any]) -> Callable[..., Acquisition]:

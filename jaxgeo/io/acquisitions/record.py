@@ -44,6 +44,8 @@ class Acquisition:
     - `facts`: contents of the file for display: name and value.
     - `reported`: the ground position reported by the file, for comparison.
     - `above_takeoff` (n,): the height above the take-off as reported by the file, m, NaN where unknown; or None.
+    - `takeoff_sigma`: the standard deviation in m of the height of the take-off, to which heights above it were added;
+      0 where there is none, or it is exact. It is part of the default errors of position.
     - `of_camera`: whether poses without a sensor are the camera's own, as of a body that carries it in
       `Mount.nadir()` with `Gimbal.fixed()`: then only the camera of a scene applies to them.
     - `start`: the time of the first record of the file, from which the times of a video count; None if unknown.
@@ -64,6 +66,7 @@ class Acquisition:
     time_is_utc: bool = False
     of_camera: bool = False
     start: float | None = None
+    takeoff_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         check_is(self.shots, Shot, "shots", "One Shot, whose fields hold an entry for each exposure.")

@@ -14,6 +14,7 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.io.acquisitions._exposure_names import with_file_names
 from jaxgeo.io.acquisitions._position_tables import read_positions
+from jaxgeo.io.acquisitions._takeoff import with_takeoff_sigma
 from jaxgeo.io.acquisitions.detect import (
     DRONE_IMAGES,
     Form,
@@ -81,6 +82,7 @@ def read_acquisitions(
     *,
     shard: tuple[int, int] | None = None,
     progress: Callable[[int, int], object] | None = None,
+    takeoff_sigma: float | None = None,
     **how: Any,
 ) -> AcquisitionSet:
     """Read the exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop others.
@@ -89,8 +91,9 @@ def read_acquisitions(
     it holds a COLMAP model, MicMac orientations or Pix4D's camera parameters.
     Each file is read alone: statements of one file (such as standard deviations of its position) are never applied to
     another. With several files, records that have only a number, as in KLV and SBET, are named with their file:
-    "video.ts/7". An option applies to the files whose reader accepts it; with `positions`, an image that is missing in
-    that file is unread. A `shard` (number from 1, count) is one of `count` consecutive parts of the files; the parts
+    "video.ts/7". An option applies to the files whose reader accepts it, `takeoff_sigma` to those that take
+    `takeoff_height`; with `positions`, an image that is missing in that file is unread. A `shard` (number from 1,
+    count) is one of `count` consecutive parts of the files; the parts
     together are the whole. `progress` is called with the number of files read and the total.
 
     Raises, since these concern all files: `WrongOption` for an option that no file's reader accepts; `UnstatedDatum`
@@ -119,6 +122,8 @@ def read_acquisitions(
     place = 0
     for number, (file, form) in enumerate(zip(files, forms, strict=True), 1):
         one = form if isinstance(form, Exception) else _read(file, form, how)
+        if isinstance(one, Acquisition) and isinstance(form, Form) and "takeoff_height" in form.takes:
+            one = with_takeoff_sigma(one, takeoff_sigma, how.get("takeoff_height"))
         if isinstance(one, Exception):
             unread.append(Unread(file, one, place))
             place += 1
@@ -257,6 +262,7 @@ def _joined(found: list[Acquisition]) -> Acquisition:
         tags=tuple(tags for one in found for tags in (one.tags or [{}] * len(one))) if has_tags else (),
         time_is_utc=all(one.time_is_utc for one in found),
         of_camera=first.of_camera,
+        takeoff_sigma=max(one.takeoff_sigma for one in found),
     )
 
 

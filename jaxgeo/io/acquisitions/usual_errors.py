@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,9 +29,10 @@ def with_usual_errors(found: Acquisition) -> Acquisition:
     """The exposures, with default errors of position, attitude and gimbal where the file states none.
 
     Each has a sentence in `assumed`, with its numbers: replace what you know better. 3, 3 and 5 m (north, east, down)
-    for the position; for a gimbal relative to level, 1 deg for yaw and 0.5 deg for the rest; else 0.3, 0.1 and 0.1 deg
-    for heading, pitch and roll (for drone logs, whose poses are the gimbal's, 1, 0.5 and 0.5 deg), and 0.1 deg for
-    each gimbal reading. If a file states any angle errors, no default angle errors are added.
+    for the position, the last and `takeoff_sigma` as root of the sum of squares; for a gimbal relative to level, 1 deg
+    for yaw and 0.5 deg for the rest; else 0.3, 0.1 and 0.1 deg for heading, pitch and roll (for drone logs, whose poses
+    are the gimbal's, 1, 0.5 and 0.5 deg), and 0.1 deg for each gimbal reading. If a file states any angle errors, no
+    default angle errors are added.
     """
     made = usual_errors_of(found)
     added = tuple(for_each(source, len(found)) for source, _ in made)
@@ -41,21 +43,26 @@ def with_usual_errors(found: Acquisition) -> Acquisition:
 def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
     """The sources that `with_usual_errors` adds, common to all exposures, each with its sentence."""
     gimbal = None if found.sensor is None else found.sensor.gimbal
-    return usual_errors(found.sources, gimbal, of_drone=found.form in OF_DRONES)
+    return usual_errors(found.sources, gimbal, of_drone=found.form in OF_DRONES, takeoff_sigma=found.takeoff_sigma)
 
 
 def usual_errors(
-    stated: Sequence[AbstractSource], gimbal: Gimbal | None, *, of_drone: bool = False
+    stated: Sequence[AbstractSource], gimbal: Gimbal | None, *, of_drone: bool = False, takeoff_sigma: float = 0.0
 ) -> list[tuple[AbstractSource, str]]:
-    """Default sources of position, attitude and gimbal beside those stated, each with its sentence."""
+    """Default sources of position, attitude and gimbal beside those stated, each with its sentence.
+
+    `takeoff_sigma`, in m, is that of the height of the take-off, to which heights above it were added.
+    """
     kinds = [type(source) for source in stated]
-    made = [] if Position in kinds else [_position()]
+    made = [] if Position in kinds else [_position(takeoff_sigma)]
     return made if Attitude in kinds or GimbalAngles in kinds else [*made, *_angles(gimbal, of_drone)]
 
 
-def _position() -> tuple[AbstractSource, str]:
-    north, east, down = POSITION
-    note = f"Position sigma: {north:g}, {east:g}, {down:g} m (N, E, D; default)."
+def _position(takeoff_sigma: float) -> tuple[AbstractSource, str]:
+    north, east, alone = POSITION
+    down = math.hypot(alone, takeoff_sigma)
+    of_takeoff = f", with {takeoff_sigma:.3g} m of the take-off" if takeoff_sigma else ""
+    note = f"Position sigma: {north:g}, {east:g}, {down:.3g} m (N, E, D; default{of_takeoff})."
     return Position.from_ned(north=north, east=east, down=down), note
 
 

@@ -483,14 +483,14 @@
 
   function placeFix(fix, asked, isWhole) {
     const lat = fix.fix_lat_deg ?? null, lon = fix.fix_lon_deg ?? null;
-    shown.point = { image: fix.image, u: fix.u, v: fix.v, lat, lon, height: fix.fix_height_m, is_fix: fix.is_fix, ellipse: fix.ellipse, ellipse_uv: fix.ellipse_uv, ce: fix.circular_m ?? null, asked, status: fix.status };
+    shown.point = { image: fix.image, u: fix.u, v: fix.v, lat, lon, height: fix.fix_height_m ?? fix.fix_height_above_takeoff_m, height_column: "fix_height_m" in fix ? "fix_height_m" : "fix_height_above_takeoff_m", is_fix: fix.is_fix, ellipse: fix.ellipse, ellipse_uv: fix.ellipse_uv, ce: fix.circular_m ?? null, asked, status: fix.status };
     if (lat !== null && fix.is_fix) {
       byId("lat").value = lat.toFixed(7);
       byId("lon").value = lon.toFixed(7);
       map.cross = map.toMap(lat, lon);
     }
     const heading = lat !== null && fix.is_fix ? [fix.lat_text, fix.lon_text] : fix.label;
-    const more = lat === null || !fix.is_fix ? [] : [fix.height_text, fix.msl_text];
+    const more = lat === null || !fix.is_fix ? [] : [fix.height_text, ...(fix.msl_text ? [fix.msl_text] : [])];
     const sentence = fix.is_fix ? (fix.ellipse_text ? fix.ellipse_text + "." : "") : fix.status_text + (lat !== null ? " The open ring on the map is the point of the line of sight from which the ground is unknown." : "");
     show({ asked, label: fix.label, isBad: !fix.is_fix, headline: heading, more, sentence, fix, isWaiting: fix.is_fix && shown.map.has_errors && !isWhole });
     keepInView(map, lat === null ? null : map.toMap(lat, lon));
@@ -509,7 +509,7 @@
     try {
       const seen = await get("api/project?image=" + number + "&lat=" + lat + "&lon=" + lon, stop);
       const isSeen = seen.status === "hit";
-      Object.assign(shown.point, { u: seen.u, v: seen.v, height: seen.height_m, is_fix: isSeen, status: seen.status, asked });
+      Object.assign(shown.point, { u: seen.u, v: seen.v, height: seen.height_m, height_column: seen.above === "above the take-off" ? "fix_height_above_takeoff_m" : "fix_height_m", is_fix: isSeen, status: seen.status, asked });
       if (seen.u !== null && seen.status !== "outside_image") {
         byId("u").value = seen.u.toFixed(2);
         byId("v").value = seen.v.toFixed(2);
@@ -517,7 +517,7 @@
         keepInView(image, image.cross);
       }
       const headline = isSeen ? ["column " + seen.u.toFixed(2), "row " + seen.v.toFixed(2)] : "Not visible in this image";
-      const more = seen.height_m === null ? [] : ["ground " + seen.height_m.toFixed(2) + " m above the WGS 84 ellipsoid", isSeen ? "in " + one.name : ""];
+      const more = seen.height_m === null ? [] : ["ground " + seen.height_m.toFixed(2) + " m " + seen.above, isSeen ? "in " + one.name : ""];
       const place = { asked, label: seen.label, isBad: !isSeen, headline, more, sentence: isSeen ? "" : seen.status_text };
       show({ ...place, isWaiting: isSeen && shown.map.has_errors });
       showSeen(seen);
@@ -623,7 +623,7 @@
     setTimeout(() => URL.revokeObjectURL(link.href), 5000);
   }
   function columns(one) {
-    return { point: one.number, name: one.name, u: one.u, v: one.v, fix_lat_deg: one.lat, fix_lon_deg: one.lon, fix_height_m: one.height, ["ce" + shown.map.percent.replace(".", "_") + "_m"]: one.ce };
+    return { point: one.number, name: one.name, u: one.u, v: one.v, fix_lat_deg: one.lat, fix_lon_deg: one.lon, [one.height_column]: one.height, ["ce" + shown.map.percent.replace(".", "_") + "_m"]: one.ce };
   }
   function saveCsv() {
     const rows = shown.kept.map(columns), cell = (x) => /[",\n]/.test(String(x ?? "")) ? '"' + String(x).replaceAll('"', '""') + '"' : String(x ?? "");
