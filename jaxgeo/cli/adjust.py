@@ -31,7 +31,7 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, repo
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
 from jaxgeo.cli._option_names import as_typed, translate_reach_errors
-from jaxgeo.cli._options import WRITING, DemFiles, DemOptions
+from jaxgeo.cli._options import WRITING, Compared, DemFiles, DemOptions, Measure
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_note, print_written, progress_bar, working
@@ -68,8 +68,14 @@ def adjust_command(
     ] = 5.0,
     points: Annotated[int, typer.Option("--points", metavar="COUNT", help="Points of each image to match.")] = 150,
     least_correlation: Annotated[
-        float, typer.Option("--least-correlation", metavar="SCORE", help="Smallest correlation of a match.")
-    ] = 0.5,
+        float | None,
+        typer.Option(
+            "--least-correlation",
+            metavar="SCORE",
+            help="Smallest correlation of a match (default: 0.5; 0.3 with --measure orientation).",
+        ),
+    ] = None,
+    measure: Measure = Compared.grey,
     self_calibrate: Annotated[
         bool,
         typer.Option(
@@ -120,7 +126,7 @@ def adjust_command(
         _check_outputs(given, dem, output, of_mosaic, of_control, on_map, reading_dem)
         began = time.perf_counter()
         compile_quickly()
-        how = _matching(dem_sigma, least_correlation, points)
+        how = _matching(dem_sigma, least_correlation, points, measure)
         from jaxgeo._checks import enable_x64
 
         enable_x64()
@@ -147,7 +153,9 @@ def adjust_command(
             of_map = None
             if chosen:
                 read = partial(_image, paths, reading_dem)
-                of_map = registered_to(views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach)
+                of_map = registered_to(
+                    views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach, measure
+                )
                 more["registrations"] = of_map.outcomes
                 block.assumed.extend(of_map.assumed)
                 print_assumed(of_map.assumed)
@@ -303,14 +311,14 @@ def _image(paths: list[pathlib.Path], reading: DemOptions, row: int) -> tuple[An
         )
 
 
-def _matching(dem_sigma: float, least_correlation: float, points: int) -> Matching:
+def _matching(dem_sigma: float, least_correlation: float | None, points: int, measure: Compared) -> Matching:
     """Options of matching. Raises `UserError` for wrong values."""
     from jaxgeo.ties import Matching
     from jaxgeo.ties.block import check_points
 
     try:
         check_points(points)
-        return Matching(sigma_height=dem_sigma, least_score=least_correlation)
+        return Matching(sigma_height=dem_sigma, least_score=least_correlation, measure=measure.value)
     except ValueError as error:
         raise UserError(_as_options(f"{error}")) from error
 

@@ -44,8 +44,9 @@ def match_blocks(
 
     `rectified` and `reference` are grey values (rows, cols) in the same cells, `known` and `known_reference` their
     masks: other values have no influence. Both may have several channels (channels, rows, cols), such as those of
-    `orientation_channels`, which are compared together: the correlation is that of all channels, the shift one. Pad the rectified image with unknown cells where the reference extends
-    further. `centres` (n, 2) are the centres of blocks of `size` cells (`blocks_of`), `covariance` (n, 2, 2) in cells2
+    `orientation_channels`: the correlation is then that of all of them, for one shift. Pad the rectified image with
+    unknown cells where the reference extends further. `centres` (n, 2) are the centres of blocks of `size` cells
+    (`blocks_of`), `covariance` (n, 2, 2) in cells2
     (rows, cols) is that of their zero-mean shifts by the navigation errors. The search covers whole shifts within the
     `probability` ellipse of these errors, plus one cell; `least_overlap` is the share of a block's known cells that
     must be known in the reference. Up to `peaks` local maxima of the normalised correlation, at least `separation`

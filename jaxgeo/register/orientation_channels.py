@@ -8,6 +8,7 @@ import numpy as np
 import scipy  # submodules load lazily
 from jaxtyping import Bool, Float
 
+MEASURES = ("grey", "orientation")  # what is compared: grey values, or `orientation_channels`
 WIDTH = 1.0  # cells: standard deviation of the Gaussian whose derivatives are the gradient
 TAPS = 3  # cells on either side of the Gaussian and its derivative
 AROUND = 15  # cells: side of the square over which the typical gradient is taken
@@ -26,9 +27,9 @@ def orientation_channels(
     rises with the gradient and ends at one, so that contrast has little influence. An unlike response of two sensors
     to the same ground, monotonous or not, then changes the channels far less than the grey values.
 
-    The doubled angle is that of Granlund (1978), "In search of a general picture processing operator"; in the channels
-    of oriented gradients |g| |cos(theta - theta_k)| of Ye et al. (2019), "Fast and robust matching for multimodal remote
-    sensing image registration", it is the first harmonic in theta, which has most of what depends on the orientation.
+    The doubled angle is that of Granlund (1978), "In search of a general picture processing operator". Of the channels
+    of oriented gradients |g| |cos(theta - theta_k)| of Ye et al. (2019), "Fast and robust matching for multimodal
+    remote sensing image registration", it is the first harmonic in theta: most of what depends on the orientation.
     Cells within 3 cells of an unknown one or of the edge are unknown. Raises `ValueError` for shapes that do not fit.
     """
     image, known = np.asarray(image, np.float64), np.asarray(known, bool)
@@ -42,6 +43,12 @@ def orientation_channels(
     typical = _mean_around(squared, inside) + LEAST**2 * np.sum(squared) / max(np.count_nonzero(inside), 1)
     weight = np.where(inside, 1.0, 0.0) / np.where(inside & (typical > 0.0), squared + typical, 1.0)
     return np.stack([(down**2 - across**2) * weight, 2.0 * down * across * weight]), inside
+
+
+def check_measure(measure: str) -> None:
+    """Raises `ValueError` for another measure."""
+    if measure not in MEASURES:
+        raise ValueError(f"measure must be one of {', '.join(MEASURES)}; got {measure!r}.")
 
 
 def _kernels() -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from jaxgeo.register.refinement import (
     rows_of,
     smooth,
     spread,
+    spread_of_channels,
 )
 
 STEPS = 24
@@ -38,6 +39,7 @@ LEAST_SHARE = 0.3  # of the known cells: fewer with any weight do not decide on 
 LARGEST_STRAIN = 0.5  # cells at the rim of a block: standard deviation of its deformation
 LEAST_SCALE = 1e-3  # standard deviations of the grey values: lower bound of that of the residuals
 MEDIAN = 0.6745  # of the absolute value of a normal number
+UNEVEN = 1.25  # see `spread_of_channels`: less than by least squares, as cells of large residuals have no weight
 
 _State: TypeAlias = tuple[Float[Array, "2"], Cells, Scalar, Index]  # the shift, weights, last step, steps
 
@@ -67,7 +69,7 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
 
     def step(state: _State) -> _State:
         d, weight, _, steps = state
-        change, _, residual = _solved(fixed, smooth(S, d), weight, mask)
+        change, _, residual, _ = _solved(fixed, smooth(S, d), weight, mask)
         new = jnp.clip(d + jnp.clip(change, -0.5, 0.5), -FURTHEST, FURTHEST)
         return new, _weights(residual, mask), jnp.max(jnp.abs(new - d)), steps + 1
 
@@ -77,10 +79,14 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
     start = starts[jnp.argmin(scales)]
     first = _weights(_solved(fixed, smooth(S, start), mask, mask)[2], mask)
     d, weight, last, _ = jax.lax.while_loop(goes_on, step, (start, first, jnp.asarray(jnp.inf), jnp.asarray(0)))
-    _, by_residual, residual = _solved(fixed, smooth(S, d), weight, mask)
-    root, count = jnp.sqrt(weight), jnp.sum(weight)
-    by_residual = by_residual.reshape(2, *residual.shape) / jnp.where(root > 0.0, root, 1.0)[None, None]
-    covariance = spread(by_residual.reshape(2, -1), root[None] * residual, count)
+    moved, count = smooth(S, d), jnp.sum(weight)
+    _, by_residual, residual, inverted = _solved(fixed, moved, weight, mask)
+    if len(S) == 1:
+        root = jnp.sqrt(weight)
+        by_residual = by_residual.reshape(2, *residual.shape) / jnp.where(root > 0.0, root, 1.0)[None, None]
+        covariance = spread(by_residual.reshape(2, -1), root[None] * residual, count)
+    else:
+        covariance = spread_of_channels(inverted, fixed, moved, weight, UNEVEN)
     enough = jnp.sum(weight > 0.0) >= LEAST_SHARE * jnp.sum(mask)
     return Refined(d, covariance, enough & is_found(d, last, CLOSE_ENOUGH, covariance, count))
 
@@ -104,15 +110,18 @@ def _scale(residual: Blocks, mask: Cells) -> Scalar:
 
 
 def _weights(residual: Blocks, mask: Cells) -> Cells:
-    squares = jax.lax.reduce_window(mask * jnp.mean(residual**2, axis=0), 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
+    squares = (
+        jax.lax.reduce_window(mask * jnp.mean(residual**2, axis=0), 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
+    )
     near = jax.lax.reduce_window(squares, 0.0, jax.lax.max, (NEAR, NEAR), (1, 1), "SAME")
     return mask * jnp.maximum(1.0 - near / (CUT * _scale(residual, mask)) ** 2, 0.0) ** 2
 
 
 def _solved(
     fixed: Smooth, moved: Smooth, weight: Cells, mask: Cells
-) -> tuple[Float[Array, "2"], Float[Array, "2 values"], Blocks]:
-    """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain)."""
+) -> tuple[Float[Array, "2"], Float[Array, "2 values"], Blocks, Float[Array, "2 2"]]:
+    """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain, inverse
+    of the shift's normal matrix)."""
     count, by_cell = jnp.maximum(jnp.sum(weight), 1e-6), weight[None]
     mean_T, mean_S = (means(by_cell * x, count) for x in (fixed.value, moved.value))
     centred_T, centred_S = fixed.value - mean_T, moved.value - mean_S
@@ -133,4 +142,4 @@ def _solved(
     by_residual = inverted @ Z
     found = by_residual @ residual.reshape(-1)
     residual = residual - (found[2:6] @ X[2:6]).reshape(residual.shape)
-    return found[:2], by_residual[:2], residual
+    return found[:2], by_residual[:2], residual, inverted[:2, :2]

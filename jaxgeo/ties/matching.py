@@ -11,6 +11,8 @@ from jaxtyping import Float, Int, Int8
 
 from jaxgeo.register import BlockOutcome, Matches, PoseConsensus, false_alarms, match_blocks
 from jaxgeo.register.choice import Chosen
+from jaxgeo.register.orientation_channels import TAPS as OF_GRADIENT
+from jaxgeo.register.orientation_channels import check_measure
 from jaxgeo.register.refinement import TAPS
 from jaxgeo.ties.ground import Planes
 from jaxgeo.ties.patches import Patches, patches_of
@@ -27,6 +29,9 @@ SURE = 4.1  # cells: standard deviation of shifts above which another pass follo
 # px, added in quadrature to the standard deviation of a measurement: positions of cells are interpolated to 0.01 px
 # (see `patches`), which the residuals of a match do not show.
 INTERPOLATED = 0.003
+# Of a match by default. Unlike sensors agree on fewer orientations than images of one sensor do on grey values; chance,
+# which a search allows for by itself (`match_blocks`), is about equal.
+LEAST_SCORE = {"grey": 0.5, "orientation": 0.3}
 SMALL_LEAN = 0.01  # m per m of height: below it, the epipolar direction is arbitrary
 
 
@@ -64,19 +69,22 @@ class Matching:
 
     `sigma_height` in m is the standard deviation of terrain heights, independent between points; it sets the length of
     the search along the epipolar direction. `size` is the side of a block in cells, as large on the ground as pixels.
-    A match needs a correlation of `least_score`, and no second one above `uniqueness` times it; `tolerance` cells
+    A match needs a correlation of `least_score` (None: 0.5, of orientations 0.3), and no second one above `uniqueness`
+    times it. `measure` is what is correlated: "grey" values, or the "orientation" of their gradients
+    (`jaxgeo.register.orientation_channels`), for images of unlike sensors, bands or seasons. `tolerance` cells
     (standard deviation) is allowed for what pose errors do not explain, such as lens errors. Matching back must agree
     to `consistency` cells. A pair needs `least` matches that agree by chance in less than `false_alarms` of all cases.
     """
 
     sigma_height: float = 5.0
     size: int = 32
-    least_score: float = 0.5
+    least_score: float | None = None
     uniqueness: float = 0.9
     tolerance: float = 1.0
     consistency: float = 0.5
     least: int = 6
     false_alarms: float = 1e-3
+    measure: str = "grey"
 
     def __post_init__(self) -> None:
         positive = ("sigma_height", "tolerance", "consistency", "false_alarms")
@@ -85,11 +93,18 @@ class Matching:
                 raise ValueError(f"{name} must be positive; got {getattr(self, name)!r}.")
         if self.size < 8 or self.size % 2:
             raise ValueError(f"size must be an even number of cells, 8 or more; got {self.size}.")
+        check_measure(self.measure)
         for name in ("least_score", "uniqueness"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must lie in (0, 1]; got {getattr(self, name)!r}.")
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value <= 1.0:
+                raise ValueError(f"{name} must lie in (0, 1]; got {value!r}.")
         if self.least < 3:
             raise ValueError(f"least must be 3 matches or more; got {self.least}.")
+
+    @property
+    def threshold(self) -> float:
+        """Smallest correlation of a match."""
+        return LEAST_SCORE[self.measure] if self.least_score is None else self.least_score
 
 
 class PairMatches(NamedTuple):
@@ -210,12 +225,16 @@ def _pass(
     """Match all points in cells of one size, starting at shifts in m. In the last pass, matches must lead back, and are
     refined by the cells that did not change."""
     width = [_width(one) for one in spread]
-    shape = tuple(how.size + 2 * (one + WIDTHS[0] + TAPS + 1) for one in width)
+    is_oriented = how.measure == "orientation"
+    aside = WIDTHS[0] + TAPS + 1 + (OF_GRADIENT if is_oriented else 0)
+    shape = tuple(how.size + 2 * (one + aside) for one in width)
     origins = geometry.origin, geometry.origin + np.einsum("na,nax->nx", shift, geometry.axes)
     here, there = (
         patches_of(views, row, pictures, origin, geometry.axes, cell, (shape[0], shape[1]))
         for row, origin in zip(both, origins, strict=True)
     )
+    if is_oriented:
+        here, there = here.oriented(), there.oriented()
     inside = np.diag(((np.array(width) - 1.01) / REACH) ** 2)
     matches = _matched(here, there, np.broadcast_to(inside, (len(shift), 2, 2)), how)
     total = _total(matches, shift / cell, geometry.by_height / cell, how)
@@ -256,7 +275,7 @@ def _predicted(
 
 
 def _matched(here: Patches, there: Patches, covariance: np.ndarray, how: Matching) -> Matches:
-    options = {"size": how.size, "peaks": 4, "least_score": 0.5 * how.least_score}
+    options = {"size": how.size, "peaks": 4, "least_score": 0.5 * how.threshold}
     return match_blocks(here.grey, here.known, there.grey, there.known, here.centres(), covariance, **options)
 
 
@@ -299,7 +318,7 @@ def _judged(matches: Matches, chosen: Chosen, score: np.ndarray, how: Matching) 
     rival = np.max(np.where(own, -np.inf, scores), axis=1, initial=-np.inf)
     with np.errstate(invalid="ignore"):
         outcome[rival > how.uniqueness * score] = TieOutcome.not_unique
-        outcome[score < how.least_score] = TieOutcome.low_correlation
+        outcome[score < how.threshold] = TieOutcome.low_correlation
     outcome[~chosen.is_chosen] = TieOutcome.off_epipolar
     outcome[np.asarray(matches.outcome) != BlockOutcome.matched] = TieOutcome.not_found
     return outcome
