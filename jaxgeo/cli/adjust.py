@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import pathlib
 import time
+from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -38,7 +39,7 @@ from jaxgeo.cli._screen import print_note, print_written, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
-    from jaxgeo.ties import Control, Correction, KeptMatches, MapControl, Matching, Ties, Views
+    from jaxgeo.ties import AbstractFeatures, Control, Correction, KeptMatches, MapControl, Matching, Ties, Views
 
 MATCHES = "matches"  # folder in that of the results, with those of the pairs
 INTERIOR = 0.005, 0.002, 0.002  # of the focal length: sigmas of focal length and principal point, if none is stated
@@ -76,6 +77,10 @@ def adjust_command(
         ),
     ] = None,
     measure: Measure = Compared.grey,
+    features: Annotated[
+        Features | None,
+        typer.Option("--features", help="Match keypoints of OpenCV (SIFT or ORB) instead of areas."),
+    ] = None,
     self_calibrate: Annotated[
         bool,
         typer.Option(
@@ -120,13 +125,14 @@ def adjust_command(
         of_mosaic.check_options(output)
         _check_map(crs)
         on_map.check()
+        _check_features(features, measure, on_map)
         if report:
             check_report()
         _check_several(given)
         _check_outputs(given, dem, output, of_mosaic, of_control, on_map, reading_dem)
         began = time.perf_counter()
         compile_quickly()
-        how = _matching(dem_sigma, least_correlation, points, measure)
+        how = _matching(dem_sigma, least_correlation, points, measure if features is None else Compared.grey)
         from jaxgeo._checks import enable_x64
 
         enable_x64()
@@ -145,7 +151,7 @@ def adjust_command(
         )
         of_mosaic.check_cells(views, paths, terrain, crs, reading_dem.reach)
         kept = Kept(output / MATCHES, lambda row: stamp(paths[row]))
-        ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
+        ties = _tied(views, terrain, paths, reading_dem, how, points, kept, _features(features))
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
         found, written, more = None, [], {}
@@ -178,6 +184,13 @@ def adjust_command(
             print_summary(content, found)
     if found is None:
         raise typer.Exit(NO_ANSWER)
+
+
+class Features(StrEnum):
+    """Keypoints of OpenCV."""
+
+    sift = "sift"
+    orb = "orb"
 
 
 class Block(NamedTuple):
@@ -280,6 +293,7 @@ def _tied(
     how: Matching,
     points: int,
     kept: KeptMatches,
+    features: AbstractFeatures | None,
 ) -> Ties:
     from jaxgeo.ties import Pictures, find_ties
 
@@ -293,6 +307,7 @@ def _tied(
                 how,
                 points=points,
                 kept=kept,
+                features=features,
                 callback=lambda done, total: bar.update(
                     task, completed=done, total=total, description="matching pairs"
                 ),
@@ -321,6 +336,29 @@ def _matching(dem_sigma: float, least_correlation: float | None, points: int, me
         return Matching(sigma_height=dem_sigma, least_score=least_correlation, measure=measure.value)
     except ValueError as error:
         raise UserError(_as_options(f"{error}")) from error
+
+
+def _check_features(features: Features | None, measure: Compared, on_map: MapOptions) -> None:
+    """Raises `UserError` where OpenCV is missing, and for a measure that nothing is compared by."""
+    if features is None:
+        return
+    if measure is not Compared.grey and on_map.reference is None:
+        raise UserError(
+            f"--measure {measure}: is how areas are compared, but --features {features} matches keypoints; give one of "
+            f"the two."
+        )
+    from jaxgeo.ties.opencv_features import opencv
+
+    try:
+        opencv()
+    except ImportError as error:
+        raise UserError(f"--features {features}: {error}") from error
+
+
+def _features(features: Features | None) -> AbstractFeatures | None:
+    from jaxgeo.ties import OrbFeatures, SiftFeatures
+
+    return None if features is None else {Features.sift: SiftFeatures, Features.orb: OrbFeatures}[features]()
 
 
 def _check_images(block: Block, output: pathlib.Path, reading: DemOptions) -> None:

@@ -12,7 +12,7 @@ MEASURES = ("grey", "orientation")  # what is compared: grey values, or `orienta
 WIDTH = 1.0  # cells: standard deviation of the Gaussian whose derivatives are the gradient
 TAPS = 3  # cells on either side of the Gaussian and its derivative
 AROUND = 15  # cells: side of the square over which the typical gradient is taken
-LEAST = 0.1  # of the gradient of the whole image: lower bound of the typical one, so that flat areas are not amplified
+LEAST = 0.1  # of the gradient of the whole patch: lower bound of the typical one, so that flat areas are not amplified
 
 
 def orientation_channels(
@@ -40,7 +40,8 @@ def orientation_channels(
     down, across = (_filtered(values, first, second) for first, second in ((slope, bell), (bell, slope)))
     inside = _filtered(known.astype(float), np.ones_like(bell), np.ones_like(bell)) > bell.size**2 - 0.5
     squared = np.where(inside, down**2 + across**2, 0.0)
-    typical = _mean_around(squared, inside) + LEAST**2 * np.sum(squared) / max(np.count_nonzero(inside), 1)
+    total, count = (np.sum(x, axis=(-2, -1), keepdims=True) for x in (squared, inside))
+    typical = _mean_around(squared, inside) + LEAST**2 * total / np.maximum(count, 1)
     weight = np.where(inside, 1.0, 0.0) / np.where(inside & (typical > 0.0), squared + typical, 1.0)
     return np.stack([(down**2 - across**2) * weight, 2.0 * down * across * weight]), inside
 
