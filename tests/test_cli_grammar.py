@@ -363,6 +363,10 @@ REFUSED = [
         "adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt -o out",
         r"--gcp gcp_list\.txt: state the vertical datum of its heights with --gcp-datum.*",
     ),
+    (
+        "adjust images --camera-datum ellipsoid --dem dem.tif --features sift --measure orientation -o out",
+        r"--measure orientation: is how areas are compared, but --features sift matches keypoints; give one of .*",
+    ),
     ("locte", r"locte: no such command; did you mean locate\? See jaxgeo --help\."),
     ("study li2024", r"li2024: no such command; did you mean li20\d\d\? See jaxgeo study --help\."),
     ("--frobnicate", r"--frobnicate: no such option\. See jaxgeo --help\."),
