@@ -15,7 +15,8 @@ from jaxgeo.ties.views import Views, project_planes
 
 PEAKS = 4  # candidates of a point, at most
 APART = 3.0  # cells: candidates of a point that lie nearer are of one place
-STEPS = 3  # of Newton's method, from a pixel to its place on a plane
+STEPS = 5  # of Newton's method, from a pixel to its place on a plane
+CLOSE = 1e-3  # px: by how far the last but one step may miss the pixel
 REDUNDANT = 3.0  # measurements across the epipolar lines, at least, beyond those that the poses take up
 OUTLYING = 4.0  # standard deviations of a residual, beyond which a match is wrong
 ROUNDS = 10
@@ -144,20 +145,32 @@ def _matches(
     """Candidates as shifts in cells on the planes; what their positions are worth is not known yet, nor added."""
     k, peak = np.nonzero(found.number >= 0)
     target = others.uv[found.number[k, peak]]
-    shift = np.einsum("nab,nb->na", seen.per_pixel[1][k], target - seen.uv[1][k])
-    pose = views.centre[second], views.R_frame_from_camera[second]
-    for _ in range(STEPS if len(k) else 0):
-        there = geometry.origin[k] + np.einsum("na,nax->nx", shift, geometry.axes[k])
-        at = project_planes(views.camera_of(second), *pose, there, geometry.axes[k], [1, 1])
-        shift = shift + np.linalg.solve(at.by_plane, (target - at.nodes[:, 1, 1])[:, :, None])[:, :, 0]
+    start = np.einsum("nab,nb->na", seen.per_pixel[1][k], target - seen.uv[1][k])
     shifts = np.full((*found.number.shape, 2), np.nan)
-    shifts[k, peak] = shift / geometry.cell
+    shifts[k, peak] = _on_planes(views, second, geometry.of(k), target, start) / geometry.cell
     scores = np.where(np.isfinite(shifts[..., 0]), found.score, np.nan)
     covariance = np.where(np.isfinite(scores)[..., None, None], np.zeros((2, 2)), np.nan)
     area = np.pi * REACH**2 * np.sqrt(np.linalg.det(spread)) / geometry.cell**2
     has_any = np.isfinite(scores).any(axis=1)
     outcome = np.where(has_any, BlockOutcome.matched, BlockOutcome.no_peak).astype(np.int8)
     return Matches(np.zeros((len(scores), 2)), shifts, scores, covariance, outcome, np.ceil(area).astype(int))
+
+
+def _on_planes(views: Views, row: int, geometry: Geometry, uv: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Shifts (n, 2) in m on the planes to what an image shows at pixels (n, 2); NaN where the line of sight passes the
+    plane, or the start is too far off."""
+    shift, off = start, np.full(uv.shape, np.inf)
+    pose = views.centre[row], views.R_frame_from_camera[row]
+    for _ in range(STEPS if len(uv) else 0):
+        there = geometry.origin + np.einsum("na,nax->nx", shift, geometry.axes)
+        at = project_planes(views.camera_of(row), *pose, there, geometry.axes, [1, 1])
+        off = uv - at.nodes[:, 1, 1]
+        sound = np.all(np.isfinite(off), axis=1) & np.all(np.isfinite(at.by_plane), axis=(1, 2))
+        sound &= np.abs(np.linalg.det(np.where(sound[:, None, None], at.by_plane, 0.0))) > 0.0
+        step = np.linalg.solve(np.where(sound[:, None, None], at.by_plane, np.eye(2)), off[:, :, None])[:, :, 0]
+        shift = np.where(sound[:, None], shift + step, np.nan)
+    near = np.max(np.abs(np.nan_to_num(off, nan=np.inf)), axis=1, initial=0.0) <= CLOSE  # before the last step
+    return np.where(near[:, None], shift, np.nan)
 
 
 def _lead_back(

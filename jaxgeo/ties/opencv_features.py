@@ -50,7 +50,7 @@ class OrbFeatures(AbstractFeatures):
 def opencv() -> Any:
     """OpenCV. Raises `ImportError` with the command that installs it."""
     try:
-        import cv2
+        import cv2  # pyright: ignore[reportMissingImports]  (an extra)
     except ImportError as error:
         raise ImportError("SIFT and ORB need the library OpenCV: pip install 'jaxgeo[features]'.") from error
     return cv2

@@ -25,7 +25,10 @@ from jaxgeo.ties import (
     correct,
     find_ties,
 )
+from jaxgeo.ties.feature_matching import _on_planes
 from jaxgeo.ties.features import TILE, unit_vectors
+from jaxgeo.ties.ground import planes_at
+from jaxgeo.ties.pair_geometry import geometry_of
 
 HOW = Matching(sigma_height=2.0)
 
@@ -159,6 +162,22 @@ def test_keypoints_are_counted_from_the_centre_of_the_first_pixel(features: type
     assert len(off) > 100
     assert np.all(np.abs(np.mean(off, axis=0)) < 0.15)
     assert np.median(np.abs(off)) < off_px
+
+
+def test_pixels_are_carried_to_the_planes_and_no_further(here: Strip) -> None:
+    """Places on the ground that project to the pixels; none above the horizon of a plane."""
+    views = here.views
+    uv = np.array([[30.0, 40.0], [128.0, 96.0], [200.0, 150.0]])
+    geometry = geometry_of(views, (0, 1), planes_at(views, 0, uv, ground(), 32.0))
+    target = np.array([[90.0, 20.0], [100.0, 180.0], [250.0, 3.0]])[: len(geometry.rows)]
+    shift = _on_planes(views, 1, geometry, target, np.zeros(target.shape))
+    there = geometry.origin + np.einsum("na,nax->nx", shift, geometry.axes)
+    camera = views.camera_of(1)
+    away = (there - views.centre[1]) @ views.R_frame_from_camera[1]
+    found = np.asarray(camera.principal_px) + np.asarray(camera.focal_px) * away[:, :2] / away[:, 2:]
+    np.testing.assert_allclose(found, target, atol=1e-6)
+    beyond = _on_planes(views, 1, geometry, target + np.array([0.0, 1e5]), np.zeros(target.shape))
+    assert np.all(np.isnan(beyond))
 
 
 def test_unknown_pixels_have_no_keypoints() -> None:
