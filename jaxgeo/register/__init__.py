@@ -8,8 +8,8 @@ from jaxgeo.register.choice import AbstractChoice, Chosen
 from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.consensus import PoseConsensus
 from jaxgeo.register.flattening import remove_illumination
+from jaxgeo.register.gradient_orientation import orientation_channels
 from jaxgeo.register.matching import match_blocks
-from jaxgeo.register.orientation_channels import orientation_channels
 from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass

@@ -14,7 +14,7 @@ from jaxgeo._record import portable
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.register.flattening import remove_illumination
-from jaxgeo.register.orientation_channels import check_measure, orientation_channels
+from jaxgeo.register.gradient_orientation import check_measure, orientation_channels
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int, Int8
 
 from jaxgeo.register import BlockOutcome, Matches, PoseConsensus, false_alarms, match_blocks
 from jaxgeo.register.choice import Chosen
-from jaxgeo.register.orientation_channels import TAPS as OF_GRADIENT
-from jaxgeo.register.orientation_channels import check_measure
+from jaxgeo.register.gradient_orientation import TAPS as OF_GRADIENT
+from jaxgeo.register.gradient_orientation import check_measure
 from jaxgeo.register.refinement import TAPS
 from jaxgeo.ties.ground import Planes
 from jaxgeo.ties.pair_geometry import Geometry, geometry_of

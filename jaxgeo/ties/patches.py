@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgeo.register.blocks import cut
-from jaxgeo.register.orientation_channels import orientation_channels
+from jaxgeo.register.gradient_orientation import orientation_channels
 from jaxgeo.ties.pictures import Pictures, sample
 from jaxgeo.ties.views import Projected, Views, project_planes
 
