@@ -43,8 +43,9 @@ def match_keypoints(
 
     The standard deviation of a match is that of the residuals of all matches of the pair across the epipolar lines,
     where no height error moves them, less the degrees of freedom of the poses; it is taken to be the same along the
-    lines and for all matches, and includes what else the poses do not explain, such as errors of the lens. Pairs with fewer than three residuals more than the poses take up have none, and are not
-    tied; matches beyond four of these standard deviations are left out.
+    lines and for all matches, and includes what else the poses do not explain, such as errors of the lens. Pairs with
+    fewer than three residuals more than the poses take up have none, and are not tied; matches beyond four of these
+    standard deviations are left out.
     """
     result = nothing((first, second), uv)
     geometry = geometry_of(views, (first, second), planes)
