@@ -4,9 +4,9 @@ Run: python benchmarks/unlike_ties.py [--points 300] [--blocks drone large] [--j
 
 Every second image shows its third band (blue), the others their first (red). `alike` are the same images with the mean
 of their bands. `inverted` is the same pair of bands, the blue one with its grey values reversed: an image of another
-sensor in its contrast, though not in its detail. The drone block is self-calibrated, the
-navigation of the large one is the poor one (10 m, 0.3 deg; see ties.py). Reported are the measured points by outcome, residuals of the
-adjustment in px, and differences of the adjusted attitudes from the published reconstruction, deg.
+sensor in its contrast, though not in its detail. The drone block is self-calibrated, the navigation of the large one is
+the poor one (10 m, 0.3 deg; see ties.py). Reported are the measured points by outcome, residuals of the adjustment in
+px, and differences of the adjusted attitudes from the published reconstruction, deg.
 """
 
 from __future__ import annotations
