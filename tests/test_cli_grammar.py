@@ -208,7 +208,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--points 100 --least-correlation 0.6 --no-self-calibrate --crs EPSG:32616 --dem-datum EPSG:5773 -o out --json "
     "--debug",
     f"adjust FILE --dem dem.tif {READING} -o out",
-    "adjust FILE --images i --dem dem.tif --reference map.tif --reference-sigma 0.5 --register a --register b -o out",
+    "adjust FILE --images i --dem dem.tif --reference map.tif --reference-sigma 0.5 --register a --register b "
+    "--measure orientation --features sift -o out",
     "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 "
     "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 --report "
     "--mosaic m.tif --resolution 0.1 -o out",
@@ -255,7 +256,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--stream 1 --errors e --no-velocities --interior i --reconstruction 1 --gimbal 1,2,3 --time 1",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
     "--stream 1 --errors e --no-velocities --interior i --reconstruction 1 --gimbal 1,2,3 --time 1 -o out.html",
-    f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
+    f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 --measure orientation -o out",
     "doctor --json --debug",
     "demo -o picture.png --write-scene scene.toml --write-dem dem.tif --json --debug",
     "study all -o out --seed 1 --json --debug",
@@ -362,6 +363,10 @@ REFUSED = [
     (
         "adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt -o out",
         r"--gcp gcp_list\.txt: state the vertical datum of its heights with --gcp-datum.*",
+    ),
+    (
+        "adjust images --camera-datum ellipsoid --dem dem.tif --features sift --measure orientation -o out",
+        r"--measure orientation: is how areas are compared, but --features sift matches keypoints; give one of .*",
     ),
     ("locte", r"locte: no such command; did you mean locate\? See jaxgeo --help\."),
     ("study li2024", r"li2024: no such command; did you mean li20\d\d\? See jaxgeo study --help\."),

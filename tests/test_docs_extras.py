@@ -23,6 +23,7 @@ NEEDS = {
     "stac": r"\bstac:https",
     "logs": r"\.(ulg|bin|BIN|tlog)\b",
     "video": r"\bDJI_\d+\.(MP4|MOV)\b",
+    "features": r"--features\b|\bSiftFeatures\b|\bOrbFeatures\b",
     "orthority": r"\bgeometry\.yaml\b|\bint_param.*\.yaml\b",
 }
 

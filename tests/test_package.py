@@ -17,6 +17,7 @@ import jaxgeo
 
 # Modules by the name of what brings them, where that is another.
 BRINGS = {
+    "opencv-python-headless": ("cv2",),
     "pillow": ("PIL",),
     "pyyaml": ("yaml",),
     "jinja2": ("jinja2", "markupsafe"),
@@ -49,6 +50,7 @@ def brought(requirements: list[str]) -> set[str]:
 
 OF_PACKAGE = (
     "cluster",
+    "features",
     "plot",
     "report",
     "gis",

@@ -13,7 +13,7 @@ import typer
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import checked_sigma
 from jaxgeo.cli._option_names import translate_reach_errors
-from jaxgeo.cli._options import OptionGroup
+from jaxgeo.cli._options import Compared, OptionGroup
 from jaxgeo.cli._register_inputs import DEM_CORRELATION
 from jaxgeo.cli._screen import print_note, progress_bar
 
@@ -89,6 +89,7 @@ def on_map(
     dem_sigma: float,
     given: MapOptions,
     reach: Reach,
+    measure: Compared = Compared.grey,
 ) -> OnMap:
     """Registrations of images by `rows`, whose values and masks `read` gives.
 
@@ -122,7 +123,9 @@ def on_map(
             model = ErrorModel((*(one for one in stated if not isinstance(one, of_ground)), ground))
             image, known = read(row)
             try:
-                found = register_image(exposure, image, reference, terrain, model, tie_errors, known=known)
+                found = register_image(
+                    exposure, image, reference, terrain, model, tie_errors, known=known, measure=measure.value
+                )
             except ValueError as error:
                 raise UserError(f"{name}: registration to {given.reference} failed: {error}") from error
             outcomes[name] = found.outcome.name

@@ -68,6 +68,8 @@ EXAMPLES = {
     "adjust": (
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --no-self-calibrate -o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --measure orientation -o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --features sift -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --reference map.tif -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt --gcp-datum EPSG:5773 "
         "-o adjusted",

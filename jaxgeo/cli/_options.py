@@ -223,4 +223,18 @@ class Axis(StrEnum):
     rows = "rows"
 
 
+class Compared(StrEnum):
+    """What of two images is compared."""
+
+    grey = "grey"
+    orientation = "orientation"
+
+
+Measure = Annotated[
+    Compared,
+    typer.Option(
+        "--measure",
+        help="Compare grey values, or the orientation of their gradients: for unlike sensors, bands, seasons.",
+    ),
+]
 Along = Annotated[Axis | None, typer.Option("--along", help="Image axis along track (default: detected).")]

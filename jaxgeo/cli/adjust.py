@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import pathlib
 import time
+from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -32,14 +33,14 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._inputs import read_terrain, terrain_files, view_of_shots
 from jaxgeo.cli._option_names import as_typed, translate_reach_errors
-from jaxgeo.cli._options import WRITING, DemFiles, DemOptions
+from jaxgeo.cli._options import WRITING, Compared, DemFiles, DemOptions, Measure
 from jaxgeo.cli._oriented_images import OrientedImages
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_note, print_written, progress_bar, working
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
-    from jaxgeo.ties import Control, Correction, KeptMatches, MapControl, Matching, Ties, Views
+    from jaxgeo.ties import AbstractFeatures, Control, Correction, KeptMatches, MapControl, Matching, Ties, Views
 
 MATCHES = "matches"  # folder in that of the results, with those of the pairs
 INTERIOR = 0.005, 0.002, 0.002  # of the focal length: sigmas of focal length and principal point, if none is stated
@@ -69,8 +70,18 @@ def adjust_command(
     ] = 5.0,
     points: Annotated[int, typer.Option("--points", metavar="COUNT", help="Points of each image to match.")] = 150,
     least_correlation: Annotated[
-        float, typer.Option("--least-correlation", metavar="SCORE", help="Smallest correlation of a match.")
-    ] = 0.5,
+        float | None,
+        typer.Option(
+            "--least-correlation",
+            metavar="SCORE",
+            help="Smallest correlation of a match (default: 0.5; 0.3 with --measure orientation).",
+        ),
+    ] = None,
+    measure: Measure = Compared.grey,
+    features: Annotated[
+        Features | None,
+        typer.Option("--features", help="Match keypoints of OpenCV (SIFT or ORB) instead of areas."),
+    ] = None,
     self_calibrate: Annotated[
         bool,
         typer.Option(
@@ -115,13 +126,14 @@ def adjust_command(
         of_mosaic.check_options(output)
         _check_map(crs)
         on_map.check()
+        _check_features(features, measure, on_map)
         if report:
             check_report()
         _check_several(given)
         _check_outputs(given, dem, output, of_mosaic, of_control, on_map, reading_dem)
         began = time.perf_counter()
         compile_quickly()
-        how = _matching(dem_sigma, least_correlation, points)
+        how = _matching(dem_sigma, least_correlation, points, measure if features is None else Compared.grey)
         from jaxgeo._checks import enable_x64
 
         enable_x64()
@@ -140,7 +152,7 @@ def adjust_command(
         )
         of_mosaic.check_cells(views, paths, terrain, crs, reading_dem.reach)
         kept = Kept(output / MATCHES, lambda row: stamp(paths[row]))
-        ties = _tied(views, terrain, paths, reading_dem, how, points, kept)
+        ties = _tied(views, terrain, paths, reading_dem, how, points, kept, _features(features))
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
         found, written, more = None, [], {}
@@ -148,7 +160,9 @@ def adjust_command(
             of_map = None
             if chosen:
                 read = partial(_image, paths, reading_dem)
-                of_map = registered_to(views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach)
+                of_map = registered_to(
+                    views, chosen, read, block.errors, terrain, dem_sigma, on_map, reading_dem.reach, measure
+                )
                 more["registrations"] = of_map.outcomes
                 block.assumed.extend(of_map.assumed)
                 print_assumed(of_map.assumed)
@@ -171,6 +185,13 @@ def adjust_command(
             print_summary(content, found)
     if found is None:
         raise typer.Exit(NO_ANSWER)
+
+
+class Features(StrEnum):
+    """Keypoints of OpenCV."""
+
+    sift = "sift"
+    orb = "orb"
 
 
 class Block(NamedTuple):
@@ -273,6 +294,7 @@ def _tied(
     how: Matching,
     points: int,
     kept: KeptMatches,
+    features: AbstractFeatures | None,
 ) -> Ties:
     from jaxgeo.ties import Pictures, find_ties
 
@@ -286,6 +308,7 @@ def _tied(
                 how,
                 points=points,
                 kept=kept,
+                features=features,
                 callback=lambda done, total: bar.update(
                     task, completed=done, total=total, description="matching pairs"
                 ),
@@ -304,16 +327,39 @@ def _image(paths: list[pathlib.Path], reading: DemOptions, row: int) -> tuple[An
         )
 
 
-def _matching(dem_sigma: float, least_correlation: float, points: int) -> Matching:
+def _matching(dem_sigma: float, least_correlation: float | None, points: int, measure: Compared) -> Matching:
     """Options of matching. Raises `UserError` for wrong values."""
     from jaxgeo.ties import Matching
     from jaxgeo.ties.block import check_points
 
     try:
         check_points(points)
-        return Matching(sigma_height=dem_sigma, least_score=least_correlation)
+        return Matching(sigma_height=dem_sigma, least_score=least_correlation, measure=measure.value)
     except ValueError as error:
         raise UserError(_as_options(f"{error}")) from error
+
+
+def _check_features(features: Features | None, measure: Compared, on_map: MapOptions) -> None:
+    """Raises `UserError` where OpenCV is missing, and for a measure that nothing is compared by."""
+    if features is None:
+        return
+    if measure is not Compared.grey and on_map.reference is None:
+        raise UserError(
+            f"--measure {measure}: is how areas are compared, but --features {features} matches keypoints; give one of "
+            f"the two."
+        )
+    from jaxgeo.ties.opencv_features import opencv
+
+    try:
+        opencv()
+    except ImportError as error:
+        raise UserError(f"--features {features}: {error}") from error
+
+
+def _features(features: Features | None) -> AbstractFeatures | None:
+    from jaxgeo.ties import OrbFeatures, SiftFeatures
+
+    return None if features is None else {Features.sift: SiftFeatures, Features.orb: OrbFeatures}[features]()
 
 
 def _check_images(block: Block, output: pathlib.Path, reading: DemOptions) -> None:

@@ -32,7 +32,7 @@ PACKAGES = (
     "pyproj",
     "shapely",
 )
-EXTRAS = ("plot", "report", "gis", "video", "logs", "orthority", "cluster", "stac", "xarray")
+EXTRAS = ("plot", "report", "gis", "features", "video", "logs", "orthority", "cluster", "stac", "xarray")
 DRIVERS = {"GTiff": "elevation models, orthoimages", "COG": "--cog", "VRT": "mosaics of tiles", "PNG": "images",
            "JPEG": "images", "JP2OpenJPEG": "JPEG 2000 images"}  # fmt: skip
 VECTORS = {"GPKG": "-o x.gpkg"}

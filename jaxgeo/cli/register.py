@@ -21,7 +21,7 @@ from jaxgeo.cli._errors import pixel_pitch_of
 from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
 from jaxgeo.cli._known_heights import with_known_heights
 from jaxgeo.cli._option_names import translate_reach_errors, typed
-from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand
+from jaxgeo.cli._options import Compared, DemFiles, DemOptions, DemOptionsBesideBand, Measure
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
@@ -57,6 +57,7 @@ def register_command(
     probability: Annotated[
         float, typer.Option(help="Probability that the true shift is inside the search window; between 0.5 and 1.")
     ] = 0.999,
+    measure: Measure = Compared.grey,
     pixel: Annotated[
         list[str] | None,
         typer.Option(metavar="PIXEL", help="COLUMN,ROW of a pixel to locate (repeatable; default: image centre)."),
@@ -87,7 +88,7 @@ def register_command(
             output.mkdir(parents=True, exist_ok=True)
             print_assumed(errors.assumed)
             with working("compiling and registering"):
-                found = _register(work, errors, block, probability)
+                found = _register(work, errors, block, probability, measure)
             found_by = time.perf_counter() - began
             given = dataclasses.asdict(sigmas)
             inputs = {name: value for name, value in options.items() if name == "dem_correlation" or name not in given}
@@ -168,7 +169,7 @@ def _view(scene: Any, shot: Any, errors: Errors) -> Any:
     return view_of_image(scene.sensor, shot, sources=errors.sources)
 
 
-def _register(work: Work, errors: Errors, block: int, probability: float) -> Any:
+def _register(work: Work, errors: Errors, block: int, probability: float, measure: Compared) -> Any:
     from jaxgeo.register import register_image
     from jaxgeo.uncertainty import ErrorModel
 
@@ -183,5 +184,6 @@ def _register(work: Work, errors: Errors, block: int, probability: float) -> Any
         known=work.known,
         block=block,
         probability=probability,
+        measure=measure.value,
         atmosphere=work.scene.atmosphere,
     )

@@ -8,6 +8,7 @@ from jaxgeo.register.choice import AbstractChoice, Chosen
 from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.consensus import PoseConsensus
 from jaxgeo.register.flattening import remove_illumination
+from jaxgeo.register.gradient_orientation import orientation_channels
 from jaxgeo.register.matching import match_blocks
 from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.outcome import Outcome
@@ -41,6 +42,7 @@ __all__ = [
     "count_outcomes",
     "false_alarms",
     "match_blocks",
+    "orientation_channels",
     "propagate_prior",
     "register_image",
     "remove_illumination",

@@ -116,10 +116,10 @@ def _starts(whole: int, side: int, step: int) -> Int[np.ndarray, " n"]:
 
 
 def cut(values: np.ndarray, corner: Int[np.ndarray, "2"], shape: tuple[int, int]) -> np.ndarray:
-    """The part of an array that starts at `corner` (row, col); zero (False) beyond its edges."""
-    part = np.zeros(shape, values.dtype)
-    start, stop = np.maximum(corner, 0), np.minimum(corner + shape, values.shape)
+    """The part of an array (..., rows, cols) that starts at `corner` (row, col); zero (False) beyond its edges."""
+    part = np.zeros((*values.shape[:-2], *shape), values.dtype)
+    start, stop = np.maximum(corner, 0), np.minimum(corner + shape, values.shape[-2:])
     if np.all(start < stop):
         (top, left), (bottom, right) = start - corner, stop - corner
-        part[top:bottom, left:right] = values[start[0] : stop[0], start[1] : stop[1]]
+        part[..., top:bottom, left:right] = values[..., start[0] : stop[0], start[1] : stop[1]]
     return part

@@ -17,7 +17,8 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 
 class AbstractComparison(abc.ABC):
-    """Image and reference in the same cells, (rows, cols), with masks of valid cells.
+    """Image and reference in the same cells, (rows, cols) or (channels, rows, cols), with masks (rows, cols) of valid
+    cells.
 
     `cell` is the side of a cell on the ground, m. Constructed from `place`, the part of a plan that defines the cells.
     """

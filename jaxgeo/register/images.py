@@ -14,6 +14,7 @@ from jaxgeo._record import portable
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.register.flattening import remove_illumination
+from jaxgeo.register.gradient_orientation import check_measure, orientation_channels
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 
@@ -28,7 +29,7 @@ class RegistrationFailed(Exception):
 
 
 class Level(NamedTuple):
-    """The reference resampled by a factor: grey values, locally normalised grey values, and the mask of known cells."""
+    """The reference resampled by a factor: what is compared of it (see `Images.compared`), and its known cells."""
 
     grey: np.ndarray
     known: np.ndarray
@@ -37,10 +38,13 @@ class Level(NamedTuple):
 
 class Images:
     """The image, grey (1, rows, cols), and the reference in cells of any size, corrected for a map `shift` to the
-    east and north, m."""
+    east and north, m. `measure` is one of `MEASURES`."""
 
-    def __init__(self, grey: np.ndarray, known: Any, reference: Orthoimage, flatten: int | None) -> None:
-        self.grey, self.known, self.flatten = grey, known, flatten
+    def __init__(
+        self, grey: np.ndarray, known: Any, reference: Orthoimage, flatten: int | None, measure: str = "grey"
+    ) -> None:
+        check_measure(measure)
+        self.grey, self.known, self.flatten, self.measure = grey, known, flatten, measure
         self.shift = np.zeros(2)
         self._reference = reference
         self._coarse: dict[int, Orthoimage] = {}
@@ -77,11 +81,11 @@ class Images:
         return self._coarse[factor]
 
     def level(self, factor: int) -> Level:
-        """The whole reference, reduced by a factor and locally normalised."""
+        """The whole reference, reduced by a factor, as it is compared."""
         if factor not in self._levels:
             coarse = self._coarser(factor)
             known = np.asarray(coarse.known)
-            self._levels[factor] = Level(self.even(np.asarray(coarse.values)[0], known), known, coarse.grid)
+            self._levels[factor] = Level(*self.compared(np.asarray(coarse.values)[0], known), coarse.grid)
         return self._placed(self._levels[factor])
 
     def shrunk(self, factor: int) -> tuple[np.ndarray, np.ndarray]:
@@ -94,11 +98,14 @@ class Images:
         whole = known[: rows * factor, : cols * factor].reshape(squares).all(axis=(1, 3))
         return values.reshape(squares).mean(axis=(1, 3)), whole
 
-    def even(self, grey: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Grey values, locally normalised if requested."""
+    def compared(self, grey: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(values that are compared, their known cells): grey values, locally normalised if requested, or the channels
+        of the orientation."""
+        if self.measure == "orientation":
+            return orientation_channels(grey, known)
         if self.flatten is None:
-            return np.asarray(grey, np.float64)
-        return np.asarray(remove_illumination(grey, known, self.flatten))
+            return np.asarray(grey, np.float64), known
+        return np.asarray(remove_illumination(grey, known, self.flatten)), known
 
 
 @eqx.filter_jit

@@ -57,8 +57,9 @@ class InImage(AbstractComparison):
         rows, cols = known.shape
         inner = np.s_[down : down + rows, across : across + cols]
         shape = rows + 2 * down, cols + 2 * across
-        self.grey, self.known = np.zeros(shape), np.zeros(shape, bool)
-        self.grey[inner], self.known[inner] = images.even(grey, known), known
+        grey, known = images.compared(grey, known)
+        self.grey, self.known = np.zeros((*grey.shape[:-2], *shape)), np.zeros(shape, bool)
+        self.grey[(..., *inner)], self.known[inner] = grey, known
         cells = np.stack(np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"), axis=-1)
         source = images.coarse(place.coarser)
         values, visible, status = seen_at(inputs, source, self._pixels(cells.reshape(-1, 2)))
@@ -66,8 +67,7 @@ class InImage(AbstractComparison):
             raise RegistrationFailed(Outcome.unknown_ground)
         if not visible.any():
             raise RegistrationFailed(Outcome.no_overlap)
-        self.known_reference = visible.reshape(shape)
-        self.reference = images.even(values[0].reshape(shape), self.known_reference)
+        self.reference, self.known_reference = images.compared(values[0].reshape(shape), visible.reshape(shape))
         self.cell = place.ground_sampling * place.factor
 
     def shifts(self, places: np.ndarray, reach: float) -> Shifts:

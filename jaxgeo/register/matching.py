@@ -17,7 +17,7 @@ BATCH = 8  # blocks, or candidates, per call
 CELLS = 2_000_000  # of all windows of a batch; about twenty arrays of this size are live at once
 EVEN = 0.01  # of the standard deviation of the whole image: a block that varies less has no texture
 
-Image = Float[np.ndarray, "rows cols"]
+Image = Float[np.ndarray, "channels rows cols"]
 Known = Bool[np.ndarray, "rows cols"]
 Corners = Int[np.ndarray, "n 2"]
 
@@ -43,8 +43,10 @@ def match_blocks(
     """Match candidates of image blocks in a reference on the same grid.
 
     `rectified` and `reference` are grey values (rows, cols) in the same cells, `known` and `known_reference` their
-    masks: other values have no influence. Pad the rectified image with unknown cells where the reference extends
-    further. `centres` (n, 2) are the centres of blocks of `size` cells (`blocks_of`), `covariance` (n, 2, 2) in cells2
+    masks: other values have no influence. Both may have several channels (channels, rows, cols), such as those of
+    `orientation_channels`: the correlation is then that of all of them, for one shift. Pad the rectified image with
+    unknown cells where the reference extends further. `centres` (n, 2) are the centres of blocks of `size` cells
+    (`blocks_of`), `covariance` (n, 2, 2) in cells2
     (rows, cols) is that of their zero-mean shifts by the navigation errors. The search covers whole shifts within the
     `probability` ellipse of these errors, plus one cell; `least_overlap` is the share of a block's known cells that
     must be known in the reference. Up to `peaks` local maxima of the normalised correlation, at least `separation`
@@ -60,14 +62,15 @@ def match_blocks(
     require_x64()
     rectified, known = _checked_image(rectified, known, "rectified", "known")
     reference, known_reference = _checked_image(reference, known_reference, "reference", "known_reference")
+    shape_of_image = known.shape
     if rectified.shape != reference.shape:
         raise ValueError(
             f"rectified and reference must lie on the same grid; got shapes {rectified.shape} and {reference.shape}. "
             f"Cut or pad one, with unknown cells."
         )
-    centres, covariance = _checked_blocks(centres, covariance, rectified.shape)
+    centres, covariance = _checked_blocks(centres, covariance, shape_of_image)
     _check_options(probability, peaks, least_overlap, above_chance, floor)
-    shape = block_shape(rectified.shape, size)
+    shape = block_shape(shape_of_image, size)
     corners = np.rint(centres - (np.array(shape) - 1) / 2).astype(int)
     pair = (rectified, known, reference, known_reference)
     outcome, centre = _looked_at(rectified, known, corners, shape)
@@ -87,16 +90,21 @@ def _looked_at(
     """(outcome, mean position of the known cells) of each block before the search."""
     outcome = np.full(len(corners), BlockOutcome.matched, np.int8)
     centre = corners + (np.array(shape) - 1) / 2
-    whole = np.std(image[known]) if known.any() else 0.0
+    whole = _deviation(image[:, known]) if known.any() else 0.0
     for k, corner in enumerate(corners):
         here = cut(known, corner, shape)
         if np.mean(here) < 0.5:
             outcome[k] = BlockOutcome.outside_image
             continue
         centre[k] = corner + np.array([np.mean(axis) for axis in np.nonzero(here)])
-        if np.std(cut(image, corner, shape)[here]) <= EVEN * whole:
+        if _deviation(cut(image, corner, shape)[:, here]) <= EVEN * whole:
             outcome[k] = BlockOutcome.no_texture
     return outcome, centre
+
+
+def _deviation(values: Float[np.ndarray, "channels n"]) -> float:
+    """Standard deviation of all channels together."""
+    return float(np.sqrt(np.sum(np.var(values, axis=1))))
 
 
 def _searched(
@@ -202,17 +210,22 @@ def _batches(indices: Int[np.ndarray, " m"], size: int) -> list[np.ndarray]:
 
 
 def _cuts(image: Image, known: Known, corners: Corners, shape: tuple[int, int]) -> tuple[Any, Any]:
-    """Windows (n, rows, cols) of an image and of its mask."""
+    """Windows (n, channels, rows, cols) of an image, and (n, rows, cols) of its mask."""
     of_image, of_mask = (np.stack([cut(array, corner, shape) for corner in corners]) for array in (image, known))
     return jnp.asarray(of_image), jnp.asarray(of_mask)
 
 
 def _checked_image(image: Any, known: Any, name: str, name_known: str) -> tuple[Image, Known]:
     image, known = np.asarray(image, np.float64), np.asarray(known, bool)
-    if image.ndim != 2 or image.shape != known.shape:
-        raise ValueError(f"{name} and {name_known} must be (rows, cols) and alike; got {image.shape}, {known.shape}.")
-    if not np.all(np.isfinite(image[known])):
-        count = np.count_nonzero(~np.isfinite(image[known]))
+    if image.ndim not in (2, 3) or image.shape[-2:] != known.shape or 0 in image.shape[:-2]:
+        raise ValueError(
+            f"{name} must be (rows, cols) or (channels, rows, cols), and {name_known} (rows, cols) alike; got "
+            f"{image.shape}, {known.shape}."
+        )
+    image = image.reshape(-1, *known.shape)
+    is_number = np.all(np.isfinite(image), axis=0)
+    if not np.all(is_number[known]):
+        count = np.count_nonzero(~is_number[known])
         raise ValueError(f"{name} is not a number in {count} cells that {name_known} calls known; mark them unknown.")
     return np.where(known, image, 0.0), known
 

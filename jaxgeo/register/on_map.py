@@ -48,8 +48,8 @@ class OnMap(AbstractComparison):
         if not self.known.any():
             raise RegistrationFailed(Outcome.unknown_ground)
         part = np.s_[top:bottom, left:right]
-        self.grey = images.even(grey, self.known)
-        self.reference, self.known_reference = level.grey[part], level.known[part]
+        self.grey, self.known = images.compared(grey, self.known)
+        self.reference, self.known_reference = level.grey[(..., *part)], level.known[part]
         self.cell = cell_side(self._grid)
 
     def shifts(self, places: np.ndarray, reach: float) -> Shifts:

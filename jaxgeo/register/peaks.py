@@ -100,9 +100,9 @@ def joined(widths: Int[np.ndarray, "n 2"], shape: tuple[int, int]) -> Int[np.nda
 
 @batch_filter_jit
 def best_peaks(
-    blocks: Float[Array, "n rows cols"],
+    blocks: Float[Array, "n *channels rows cols"],
     known: Bool[Array, "n rows cols"],
-    windows: Float[Array, "n more_rows more_cols"],
+    windows: Float[Array, "n *channels more_rows more_cols"],
     known_windows: Bool[Array, "n more_rows more_cols"],
     whitening: Float[Array, "n 2 2"],
     least_overlap: Scalar,

@@ -124,6 +124,7 @@ def register_image(
     choice: AbstractChoice = CONSENSUS,
     loss: AbstractLoss = HUBER,
     flatten: int | None = 31,
+    measure: str = "grey",
     limits: Limits = LIMITS,
     time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
@@ -147,13 +148,14 @@ def register_image(
     `block` is the largest block side in cells; blocks are smaller where the navigation errors would distort them.
     Shifts are searched within the `probability` region of these errors; `choice` selects consistent candidates, and
     `loss` is that of the update. `flatten` is the width in cells of the local brightness and contrast normalisation;
-    None disables it.
+    None disables it. `measure` is what is compared: "grey" values, or the "orientation" of their gradients
+    (`orientation_channels`, without `flatten`), for a reference of another sensor, band or season.
 
     Agreements that chance, repetitive texture or a wrong area could cause are rejected (see `Limits`): `outcome` is
     then the reason, and sensor and shot are unchanged.
     On level ground no image can determine a common map shift: `shift` is an input that the caller must supply.
     Raises `ValueError` for an image of another size than the camera's, a `probability` of half or less, a `block` under
-    32 cells, and as `rectify`, `match_blocks` and `update_orientation`.
+    32 cells, another `measure`, and as `rectify`, `match_blocks` and `update_orientation`.
     """
     require_x64()
     check_is(reference, Orthoimage, "reference", "Read one with jaxgeo.io.read_orthoimage.")
@@ -171,7 +173,7 @@ def register_image(
     model = checked_model(errors, inputs)
     tie_errors = as_float64(tie_errors, "tie_errors")
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
-    images = Images(grey, known, reference, flatten)
+    images = Images(grey, known, reference, flatten, measure)
     search = Search(choice, probability, block)
     given = _Given(inputs, model, prior, tie_errors, loss, time is not None or isinstance(motion, Trajectory))
     return _registered(given, images, search, limits)

@@ -10,9 +10,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Flag, Index, Scalar
-from jaxgeo.register.correlation import Block, standardised
+from jaxgeo.register.correlation import channels, standardised
 from jaxgeo.register.refinement import (
     FURTHEST,
+    Blocks,
+    Cells,
     KnownWider,
     Refined,
     Smooth,
@@ -20,8 +22,12 @@ from jaxgeo.register.refinement import (
     all_known,
     inverse,
     is_found,
+    means,
+    offsets,
+    rows_of,
     smooth,
     spread,
+    spread_of_channels,
 )
 
 STEPS = 24
@@ -33,12 +39,15 @@ LEAST_SHARE = 0.3  # of the known cells: fewer with any weight do not decide on 
 LARGEST_STRAIN = 0.5  # cells at the rim of a block: standard deviation of its deformation
 LEAST_SCALE = 1e-3  # standard deviations of the grey values: lower bound of that of the residuals
 MEDIAN = 0.6745  # of the absolute value of a normal number
+UNEVEN = 1.25  # see `spread_of_channels`: less than by least squares, as cells of large residuals have no weight
 
-_State: TypeAlias = tuple[Float[Array, "2"], Block, Scalar, Index]  # the shift, weights, last step, steps
+_State: TypeAlias = tuple[Float[Array, "2"], Cells, Scalar, Index]  # the shift, weights, last step, steps
 
 
 def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: Float[Array, "2"]) -> Refined:
     """The shift d with T(p) = gain S(p + d + A p) + offset for most cells p of a block, p from its centre.
+
+    T and S are grey values, or several channels with one gain and an offset each.
 
     The small deformation A, of first order, is what orientations and planes of the ground that err leave between two
     patches; left in, it draws the shift to where the block has most texture.
@@ -51,8 +60,8 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
     """
     known = all_known(known_T) & all_known(known_S)
     mask = known.astype(float)
-    S = standardised(S, known_S)
-    fixed = smooth(standardised(T, known_T), jnp.zeros(2))
+    S = standardised(channels(S), known_S)
+    fixed = smooth(standardised(channels(T), known_T), jnp.zeros(2))
 
     def goes_on(state: _State) -> Flag:
         _, _, last, steps = state
@@ -60,7 +69,7 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
 
     def step(state: _State) -> _State:
         d, weight, _, steps = state
-        change, _, residual = _solved(fixed, smooth(S, d), weight, mask)
+        change, _, residual, _ = _solved(fixed, smooth(S, d), weight, mask)
         new = jnp.clip(d + jnp.clip(change, -0.5, 0.5), -FURTHEST, FURTHEST)
         return new, _weights(residual, mask), jnp.max(jnp.abs(new - d)), steps + 1
 
@@ -70,19 +79,23 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
     start = starts[jnp.argmin(scales)]
     first = _weights(_solved(fixed, smooth(S, start), mask, mask)[2], mask)
     d, weight, last, _ = jax.lax.while_loop(goes_on, step, (start, first, jnp.asarray(jnp.inf), jnp.asarray(0)))
-    _, by_residual, residual = _solved(fixed, smooth(S, d), weight, mask)
-    root, count = jnp.sqrt(weight), jnp.sum(weight)
-    by_residual = by_residual / jnp.where(root > 0.0, root, 1.0).reshape(1, -1)
-    covariance = spread(by_residual, root * residual, count)
+    moved, count = smooth(S, d), jnp.sum(weight)
+    _, by_residual, residual, inverted = _solved(fixed, moved, weight, mask)
+    if len(S) == 1:
+        root = jnp.sqrt(weight)
+        by_residual = by_residual.reshape(2, *residual.shape) / jnp.where(root > 0.0, root, 1.0)[None, None]
+        covariance = spread(by_residual.reshape(2, -1), root[None] * residual, count)
+    else:
+        covariance = spread_of_channels(inverted, fixed, moved, weight, UNEVEN)
     enough = jnp.sum(weight > 0.0) >= LEAST_SHARE * jnp.sum(mask)
     return Refined(d, covariance, enough & is_found(d, last, CLOSE_ENOUGH, covariance, count))
 
 
 @batch_filter_jit
 def refine_all_robustly(
-    T: Float[Array, "n wide_rows wide_cols"],
+    T: Float[Array, "n *channels wide_rows wide_cols"],
     known_T: Bool[Array, "n wide_rows wide_cols"],
-    S: Float[Array, "n wide_rows wide_cols"],
+    S: Float[Array, "n *channels wide_rows wide_cols"],
     known_S: Bool[Array, "n wide_rows wide_cols"],
     start: Float[Array, "n 2"],
 ) -> Refined:
@@ -90,38 +103,43 @@ def refine_all_robustly(
     return jax.lax.map(lambda one: refine_robustly(*one), (T, known_T, S, known_S, start))
 
 
-def _scale(residual: Block, mask: Block) -> Scalar:
+def _scale(residual: Blocks, mask: Cells) -> Scalar:
     """Standard deviation of most residuals."""
-    some = jnp.where(mask > 0.0, jnp.abs(residual), jnp.nan)[::2, ::2]  # neighbours are smoothed alike
+    some = jnp.where(mask[None] > 0.0, jnp.abs(residual), jnp.nan)[:, ::2, ::2]  # neighbours are smoothed alike
     return jnp.maximum(jnp.nan_to_num(jnp.nanmedian(some), nan=jnp.inf) / MEDIAN, LEAST_SCALE)
 
 
-def _weights(residual: Block, mask: Block) -> Block:
-    squares = jax.lax.reduce_window(mask * residual**2, 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
+def _weights(residual: Blocks, mask: Cells) -> Cells:
+    squares = (
+        jax.lax.reduce_window(mask * jnp.mean(residual**2, axis=0), 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
+    )
     near = jax.lax.reduce_window(squares, 0.0, jax.lax.max, (NEAR, NEAR), (1, 1), "SAME")
     return mask * jnp.maximum(1.0 - near / (CUT * _scale(residual, mask)) ** 2, 0.0) ** 2
 
 
 def _solved(
-    fixed: Smooth, moved: Smooth, weight: Block, mask: Block
-) -> tuple[Float[Array, "2"], Float[Array, "2 cells"], Block]:
-    """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain)."""
-    count = jnp.maximum(jnp.sum(weight), 1e-6)
-    mean_T, mean_S = (jnp.sum(weight * x) / count for x in (fixed.value, moved.value))
+    fixed: Smooth, moved: Smooth, weight: Cells, mask: Cells
+) -> tuple[Float[Array, "2"], Float[Array, "2 values"], Blocks, Float[Array, "2 2"]]:
+    """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain, inverse
+    of the shift's normal matrix)."""
+    count, by_cell = jnp.maximum(jnp.sum(weight), 1e-6), weight[None]
+    mean_T, mean_S = (means(by_cell * x, count) for x in (fixed.value, moved.value))
     centred_T, centred_S = fixed.value - mean_T, moved.value - mean_S
-    power = jnp.sum(weight * centred_S**2)
-    gain = jnp.sum(weight * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
+    power = jnp.sum(by_cell * centred_S**2)
+    gain = jnp.sum(by_cell * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
     rows, cols = jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, side) for side in weight.shape), indexing="ij")
+    of_channels = offsets(len(centred_S), jnp.ones_like(by_cell))
 
-    def columns(seen: Smooth, times: Scalar | float) -> Float[Array, "8 cells"]:
+    def columns(seen: Smooth, times: Scalar | float) -> Float[Array, "unknowns values"]:
         slopes = [times * seen.down, times * seen.across]
-        strained = [slope * place for slope in slopes for place in (rows, cols)]
-        return jnp.stack([*slopes, *strained, centred_S, jnp.ones_like(centred_S)]).reshape(8, -1)
+        strained = [slope * place[None] for slope in slopes for place in (rows, cols)]
+        return rows_of(*slopes, *strained, centred_S, *of_channels)
 
-    Z, X, residual = columns(fixed, 1.0) * weight.reshape(1, -1), columns(moved, gain), centred_T - gain * centred_S
+    X, residual = columns(moved, gain), centred_T - gain * centred_S
+    Z = columns(fixed, 1.0) * jnp.broadcast_to(by_cell, centred_S.shape).reshape(1, -1)
     prior = (_scale(residual, mask) / LARGEST_STRAIN) ** 2
-    inverted = inverse(Z @ X.T + jnp.diag(jnp.zeros(8).at[2:6].set(prior)))
+    inverted = inverse(Z @ X.T + jnp.diag(jnp.zeros(len(X)).at[2:6].set(prior)))
     by_residual = inverted @ Z
     found = by_residual @ residual.reshape(-1)
     residual = residual - (found[2:6] @ X[2:6]).reshape(residual.shape)
-    return found[:2], by_residual[:2], residual
+    return found[:2], by_residual[:2], residual, inverted[:2, :2]

@@ -12,6 +12,8 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo.adjust import ImagePoints
 from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.ties.feature_matching import match_keypoints
+from jaxgeo.ties.features import AbstractFeatures, ImageKeypoints
 from jaxgeo.ties.ground import planes_at
 from jaxgeo.ties.interest import cell_of, interest_points, power_for
 from jaxgeo.ties.kept import KeptMatches
@@ -72,6 +74,7 @@ def find_ties(
     points: int = 150,
     callback: Callable[[int, int], Any] | None = None,
     kept: KeptMatches | None = None,
+    features: AbstractFeatures | None = None,
 ) -> Ties:
     """Tie points between all overlapping images of a block.
 
@@ -81,7 +84,11 @@ def find_ties(
     read once per image with pairs, and again if more than `pictures` keeps are needed. With `kept`, each result is
     written to its folder, and read from there in a later call with the same inputs.
 
-    Raises `ValueError` for a block of one image, and no pair of overlapping images.
+    With `features`, points are their keypoints, the strongest of each cell, and matched by their descriptors (see
+    `match_keypoints`) in place of areas.
+
+    Raises `ValueError` for a block of one image, no pair of overlapping images, `features` together with a `measure` of
+    areas, and features that are none; `ImportError` for those whose library is missing.
     """
     check_is(views, Views, "views")
     check_is(pictures, Pictures, "pictures")
@@ -89,6 +96,10 @@ def find_ties(
     if len(views) < 2:
         raise ValueError(f"tie points need two images or more; got {len(views)}.")
     check_points(points)
+    keypoints = None if features is None else _keypoints(pictures, features, points, how)
+    by = "" if features is None else repr(features)
+    if type(features).__repr__ is object.__repr__:
+        kept = None
     chosen = list(candidate_pairs(views, terrain) if pairs is None else pairs)
     if not chosen:
         raise ValueError(
@@ -98,11 +109,15 @@ def find_ties(
     tracks, matched, done = Tracks(), [], 0
     for first in sorted({pair.first for pair in chosen}):
         own = [pair for pair in chosen if pair.first == first]
-        uv, numbers = _points_of(views, first, pictures, tracks, points, kept)
+        uv, numbers = _points_of(views, first, pictures, tracks, points, kept, keypoints)
         planes = planes_at(views, first, uv, terrain, float(how.size))
         for pair in own:
-            find = functools.partial(match_pair, views, first, pair.second, uv, planes, pictures, how)
-            found = find() if kept is None else kept.matches(views, pair[:2], uv, planes, how, find)
+            pair_of = views, first, pair.second, uv, planes
+            if keypoints is None:
+                find = functools.partial(match_pair, *pair_of, pictures, how)
+            else:
+                find = functools.partial(match_keypoints, *pair_of, keypoints, how)
+            found = find() if kept is None else kept.matches(views, pair[:2], uv, planes, how, find, by)
             tracks.add(found, numbers)
             matched.append(_counted(views, pair, found))
             done += 1
@@ -118,18 +133,34 @@ def check_points(points: int) -> None:
         raise ValueError(f"points must be 4 or more in each image; got {points}.")
 
 
+def _keypoints(pictures: Pictures, features: AbstractFeatures, points: int, how: Matching) -> ImageKeypoints:
+    check_is(features, AbstractFeatures, "features")
+    if how.measure != "grey":
+        raise ValueError(f"measure {how.measure!r} is of areas, which features take the place of; give one of the two.")
+    return ImageKeypoints(pictures, features, points)
+
+
 def _points_of(
-    views: Views, row: int, pictures: Pictures, tracks: Tracks, points: int, kept: KeptMatches | None
+    views: Views,
+    row: int,
+    pictures: Pictures,
+    tracks: Tracks,
+    points: int,
+    kept: KeptMatches | None,
+    keypoints: ImageKeypoints | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pixels (n, 2), track numbers (n,)) of the points of an image: at most one of each cell, tracks first."""
     camera = views.camera_of(row)
     shape = camera.height, camera.width
     power = power_for(shape)
+    by = "" if keypoints is None else repr(keypoints.features)
 
     def find() -> tuple[np.ndarray, np.ndarray]:
+        if keypoints is not None:
+            return keypoints.points(row)
         return interest_points(pictures.level(row, power), power, shape, points)
 
-    fresh, fresh_cell = find() if kept is None else kept.points(views, row, points, find)
+    fresh, fresh_cell = find() if kept is None else kept.points(views, row, points, find, by)
     numbers, uv = tracks.in_image(row)
     cells, first = np.unique(cell_of(uv, shape, points), return_index=True)
     is_free = ~np.isin(fresh_cell, cells)

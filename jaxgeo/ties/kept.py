@@ -34,11 +34,17 @@ class KeptMatches:
         self._stamp = stamp
 
     def points(
-        self, views: Views, row: int, count: int, find: Callable[[], tuple[np.ndarray, np.ndarray]]
+        self,
+        views: Views,
+        row: int,
+        count: int,
+        find: Callable[[], tuple[np.ndarray, np.ndarray]],
+        features: str = "",
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(pixels (n, 2), cells (n,)) of the interest points of an image: kept ones, or as `find` has them."""
+        """(pixels (n, 2), cells (n,)) of the interest points of an image: kept ones, or as `find` has them. `features`
+        is a text that changes with what finds them."""
         camera = views.camera_of(row)
-        path = self._path("points", [self._stamp(row), camera.width, camera.height, count])
+        path = self._path("points", [self._stamp(row), camera.width, camera.height, count, features])
         held = _read(path)
         if held is None:
             uv, cells = find()
@@ -54,9 +60,10 @@ class KeptMatches:
         planes: Planes,
         how: Matching,
         find: Callable[[], PairMatches],
+        features: str = "",
     ) -> PairMatches:
-        """Matches of a pair: kept ones, or as `find` has them."""
-        parts: list[Any] = [repr(how), uv, *planes, views.covariance_of_pair(*both)]
+        """Matches of a pair: kept ones, or as `find` has them. `features` is a text that changes with how."""
+        parts: list[Any] = [repr(how), features, uv, *planes, views.covariance_of_pair(*both)]
         for row in both:
             parts += [self._stamp(row), views.centre[row], views.R_frame_from_camera[row]]
             parts += [repr(jax.tree.structure(views.camera_of(row))), *jax.tree.leaves(views.camera_of(row))]

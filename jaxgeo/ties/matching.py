@@ -11,8 +11,11 @@ from jaxtyping import Float, Int, Int8
 
 from jaxgeo.register import BlockOutcome, Matches, PoseConsensus, false_alarms, match_blocks
 from jaxgeo.register.choice import Chosen
+from jaxgeo.register.gradient_orientation import TAPS as OF_GRADIENT
+from jaxgeo.register.gradient_orientation import check_measure
 from jaxgeo.register.refinement import TAPS
 from jaxgeo.ties.ground import Planes
+from jaxgeo.ties.pair_geometry import Geometry, geometry_of
 from jaxgeo.ties.patches import Patches, patches_of
 from jaxgeo.ties.pictures import Pictures
 from jaxgeo.ties.sharpening import sharpened
@@ -27,7 +30,9 @@ SURE = 4.1  # cells: standard deviation of shifts above which another pass follo
 # px, added in quadrature to the standard deviation of a measurement: positions of cells are interpolated to 0.01 px
 # (see `patches`), which the residuals of a match do not show.
 INTERPOLATED = 0.003
-SMALL_LEAN = 0.01  # m per m of height: below it, the epipolar direction is arbitrary
+# Of a match by default. Unlike sensors agree on fewer orientations than images of one sensor do on grey values; chance,
+# which a search allows for by itself (`match_blocks`), is about equal.
+LEAST_SCORE = {"grey": 0.5, "orientation": 0.3}
 
 
 class TieOutcome(enum.IntEnum):
@@ -64,19 +69,22 @@ class Matching:
 
     `sigma_height` in m is the standard deviation of terrain heights, independent between points; it sets the length of
     the search along the epipolar direction. `size` is the side of a block in cells, as large on the ground as pixels.
-    A match needs a correlation of `least_score`, and no second one above `uniqueness` times it; `tolerance` cells
+    A match needs a correlation of `least_score` (None: 0.5, of orientations 0.3), and no second one above `uniqueness`
+    times it. `measure` is what is correlated: "grey" values, or the "orientation" of their gradients
+    (`jaxgeo.register.orientation_channels`), for images of unlike sensors, bands or seasons. `tolerance` cells
     (standard deviation) is allowed for what pose errors do not explain, such as lens errors. Matching back must agree
     to `consistency` cells. A pair needs `least` matches that agree by chance in less than `false_alarms` of all cases.
     """
 
     sigma_height: float = 5.0
     size: int = 32
-    least_score: float = 0.5
+    least_score: float | None = None
     uniqueness: float = 0.9
     tolerance: float = 1.0
     consistency: float = 0.5
     least: int = 6
     false_alarms: float = 1e-3
+    measure: str = "grey"
 
     def __post_init__(self) -> None:
         positive = ("sigma_height", "tolerance", "consistency", "false_alarms")
@@ -85,11 +93,18 @@ class Matching:
                 raise ValueError(f"{name} must be positive; got {getattr(self, name)!r}.")
         if self.size < 8 or self.size % 2:
             raise ValueError(f"size must be an even number of cells, 8 or more; got {self.size}.")
+        check_measure(self.measure)
         for name in ("least_score", "uniqueness"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must lie in (0, 1]; got {getattr(self, name)!r}.")
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value <= 1.0:
+                raise ValueError(f"{name} must lie in (0, 1]; got {value!r}.")
         if self.least < 3:
             raise ValueError(f"least must be 3 matches or more; got {self.least}.")
+
+    @property
+    def threshold(self) -> float:
+        """Smallest correlation of a match."""
+        return LEAST_SCORE[self.measure] if self.least_score is None else self.least_score
 
 
 class PairMatches(NamedTuple):
@@ -116,24 +131,6 @@ class PairMatches(NamedTuple):
         return np.flatnonzero(self.outcome == TieOutcome.tied)
 
 
-class _Geometry(NamedTuple):
-    """Visible points of a pair: planes' origins and axes (row, col), derivatives in m of the shift by the errors of
-    both poses (n, 2, 12) and by the height (n, 2), and the size of a cell in m."""
-
-    rows: np.ndarray
-    origin: np.ndarray
-    axes: np.ndarray
-    by_pose: np.ndarray
-    by_height: np.ndarray
-    cell: float
-
-    def of(self, kept: np.ndarray) -> _Geometry:
-        """Some of the points."""
-        return _Geometry(
-            self.rows[kept], self.origin[kept], self.axes[kept], self.by_pose[kept], self.by_height[kept], self.cell
-        )
-
-
 def match_pair(
     views: Views, first: int, second: int, uv: np.ndarray, planes: Planes, pictures: Pictures, how: Matching
 ) -> PairMatches:
@@ -147,8 +144,8 @@ def match_pair(
     it. If the navigation is vague, coarser cells are matched first.
     """
     both = first, second
-    result = _nothing(both, uv)
-    geometry = _geometry(views, both, planes, how)
+    result = nothing(both, uv)
+    geometry = geometry_of(views, both, planes)
     covariance = views.covariance_of_pair(first, second)
     factor, shift = _first_factor(geometry, covariance, how), np.zeros((len(geometry.rows), 2))
     spread, is_first = _spread(geometry, covariance, how), True
@@ -165,7 +162,7 @@ def match_pair(
             break
         result.outcome[geometry.rows] = done.outcome
         if is_last:
-            return _measured(views, result, geometry.of(tied), done.of(tied))
+            return measured(views, result, geometry.of(tied), done.shift[tied], done.covariance[tied], done.score[tied])
         factor, is_first = max(factor // FINER, 1), False
         kept, shift, spread = _predicted(geometry, done, covariance, factor, how)
         geometry = geometry.of(kept)
@@ -183,23 +180,12 @@ class _Pass(NamedTuple):
     alarms: float
     cell: float
 
-    def of(self, kept: np.ndarray) -> _Pass:
-        """Some of the points."""
-        return _Pass(
-            self.shift[kept],
-            self.covariance[kept],
-            self.score[kept],
-            self.outcome[kept],
-            self.alarms,
-            self.cell,
-        )
-
 
 def _pass(
     views: Views,
     both: tuple[int, int],
     pictures: Pictures,
-    geometry: _Geometry,
+    geometry: Geometry,
     shift: np.ndarray,
     cell: float,
     spread: np.ndarray,
@@ -210,19 +196,23 @@ def _pass(
     """Match all points in cells of one size, starting at shifts in m. In the last pass, matches must lead back, and are
     refined by the cells that did not change."""
     width = [_width(one) for one in spread]
-    shape = tuple(how.size + 2 * (one + WIDTHS[0] + TAPS + 1) for one in width)
+    is_oriented = how.measure == "orientation"
+    aside = WIDTHS[0] + TAPS + 1 + (OF_GRADIENT if is_oriented else 0)
+    shape = tuple(how.size + 2 * (one + aside) for one in width)
     origins = geometry.origin, geometry.origin + np.einsum("na,nax->nx", shift, geometry.axes)
     here, there = (
         patches_of(views, row, pictures, origin, geometry.axes, cell, (shape[0], shape[1]))
         for row, origin in zip(both, origins, strict=True)
     )
+    if is_oriented:
+        here, there = here.oriented(), there.oriented()
     inside = np.diag(((np.array(width) - 1.01) / REACH) ** 2)
     matches = _matched(here, there, np.broadcast_to(inside, (len(shift), 2, 2)), how)
-    total = _total(matches, shift / cell, geometry.by_height / cell, how)
+    total = with_heights(matches, shift / cell, geometry.by_height / cell, how)
     chosen = PoseConsensus(tolerance=how.tolerance, pairs=400).choose(total, geometry.by_pose / cell, cov_error)
     found, cov = chosen.of(matches.shift), chosen.of(matches.covariance)
     score = chosen.of(np.where(matches.is_candidate, matches.score, np.nan))
-    outcome = _judged(matches, chosen, score, how)
+    outcome = judged(matches, chosen, score, how)
     if is_last:
         tied = np.flatnonzero(outcome == TieOutcome.tied)
         outcome[tied[~_agree_back(here, there, found, tied, how)]] = TieOutcome.not_consistent
@@ -233,7 +223,7 @@ def _pass(
 
 
 def _predicted(
-    geometry: _Geometry, done: _Pass, cov_error: np.ndarray, factor: int, how: Matching
+    geometry: Geometry, done: _Pass, cov_error: np.ndarray, factor: int, how: Matching
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(indices of the points of the next pass, their predicted shifts in m, the standard deviation along rows and
     columns in m): matched points at their shifts; the others by the errors of the poses that these imply, if their
@@ -256,7 +246,7 @@ def _predicted(
 
 
 def _matched(here: Patches, there: Patches, covariance: np.ndarray, how: Matching) -> Matches:
-    options = {"size": how.size, "peaks": 4, "least_score": 0.5 * how.least_score}
+    options = {"size": how.size, "peaks": 4, "least_score": 0.5 * how.threshold}
     return match_blocks(here.grey, here.known, there.grey, there.known, here.centres(), covariance, **options)
 
 
@@ -278,7 +268,7 @@ def _near(count: int) -> np.ndarray:
     return np.broadcast_to(np.eye(2) * ((WIDTHS[0] - 1.01) / REACH) ** 2, (count, 2, 2))
 
 
-def _total(matches: Matches, before: np.ndarray, by_height: np.ndarray, how: Matching) -> Matches:
+def with_heights(matches: Matches, before: np.ndarray, by_height: np.ndarray, how: Matching) -> Matches:
     """Candidates with shifts from the prediction by the navigation, and covariances that include height errors."""
     of_height = how.sigma_height**2 * by_height[:, :, None] * by_height[:, None, :]
     return Matches(
@@ -291,7 +281,7 @@ def _total(matches: Matches, before: np.ndarray, by_height: np.ndarray, how: Mat
     )
 
 
-def _judged(matches: Matches, chosen: Chosen, score: np.ndarray, how: Matching) -> np.ndarray:
+def judged(matches: Matches, chosen: Chosen, score: np.ndarray, how: Matching) -> np.ndarray:
     """Outcomes by threshold, uniqueness and agreement."""
     outcome = np.full(len(score), TieOutcome.tied, np.int8)
     scores = np.where(matches.is_candidate, matches.score, -np.inf)
@@ -299,61 +289,20 @@ def _judged(matches: Matches, chosen: Chosen, score: np.ndarray, how: Matching) 
     rival = np.max(np.where(own, -np.inf, scores), axis=1, initial=-np.inf)
     with np.errstate(invalid="ignore"):
         outcome[rival > how.uniqueness * score] = TieOutcome.not_unique
-        outcome[score < how.least_score] = TieOutcome.low_correlation
+        outcome[score < how.threshold] = TieOutcome.low_correlation
     outcome[~chosen.is_chosen] = TieOutcome.off_epipolar
     outcome[np.asarray(matches.outcome) != BlockOutcome.matched] = TieOutcome.not_found
     return outcome
 
 
-def _geometry(views: Views, both: tuple[int, int], planes: Planes, how: Matching) -> _Geometry:
-    """Points that the second image sees, by the navigation."""
-    leans = [_lean(planes, views.centre[row]) for row in both]
-    lean = leans[1] - leans[0]
-    axes = _axes(planes, lean)
-    views_of = [
-        project_planes(
-            views.camera_of(row), views.centre[row], views.R_frame_from_camera[row], planes.origin, axes, [1, 1]
-        )
-        for row in both
-    ]
-    steep = np.sum(planes.normal * (planes.origin - views.centre[both[1]]), axis=1)
-    rows = np.flatnonzero(planes.known & views_of[0].visible & views_of[1].visible & (steep < 0.0))
-    if not len(rows):
-        empty = [np.zeros((0, *part)) for part in ((3,), (2, 3), (2, 12), (2,))]
-        return _Geometry(rows, empty[0], empty[1], empty[2], empty[3], 1.0)
-    by_plane = [one.by_plane[rows] for one in views_of]
-    cell = max(float(np.median(np.abs(np.linalg.det(one)) ** -0.5)) for one in by_plane)
-    sides = [np.linalg.solve(one, seen.by_pose[rows]) for one, seen in zip(by_plane, views_of, strict=True)]
-    by_height = np.einsum("nax,nx->na", axes[rows], lean[rows])
-    return _Geometry(
-        rows, planes.origin[rows], axes[rows], np.concatenate([-sides[0], sides[1]], axis=2), by_height, cell
-    )
-
-
-def _lean(planes: Planes, centre: np.ndarray) -> np.ndarray:
-    """Shift on the plane (n, 3), m per m, of a point that lies higher, as seen from a centre."""
-    away = planes.origin - centre
-    slant = np.sum(planes.normal * planes.up, axis=1) / np.sum(planes.normal * away, axis=1)
-    return planes.up - slant[:, None] * away
-
-
-def _axes(planes: Planes, lean: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 2, 3) on the planes: rows across, columns along the epipolar direction."""
-    far = np.linalg.norm(lean, axis=1) > SMALL_LEAN
-    other = np.cross(np.array([0.0, 1.0, 0.0]), planes.normal)  # level enough: east
-    along = np.where(far[:, None], lean, other)
-    along = along / np.linalg.norm(along, axis=1)[:, None]
-    return np.stack([np.cross(planes.normal, along), along], axis=1)
-
-
-def _spread(geometry: _Geometry, covariance: np.ndarray, how: Matching) -> np.ndarray:
+def _spread(geometry: Geometry, covariance: np.ndarray, how: Matching) -> np.ndarray:
     """90 % quantile of the standard deviations of the shifts along rows and columns, m."""
     of_pose = np.einsum("nai,ij,naj->na", geometry.by_pose, covariance, geometry.by_pose)
     squared = of_pose + (how.sigma_height * geometry.by_height) ** 2 + (how.tolerance * geometry.cell) ** 2
     return np.sqrt(np.quantile(squared, 0.9, axis=0))
 
 
-def _first_factor(geometry: _Geometry, covariance: np.ndarray, how: Matching) -> int:
+def _first_factor(geometry: Geometry, covariance: np.ndarray, how: Matching) -> int:
     """Factor of the cells of the first pass: the smallest power of two whose search area suffices."""
     if not len(geometry.rows):
         return 1
@@ -368,10 +317,13 @@ def _width(spread: float) -> int:
     return next((width for width in WIDTHS if REACH * spread + 1.01 <= width), WIDTHS[-1])
 
 
-def _measured(views: Views, result: PairMatches, geometry: _Geometry, done: _Pass) -> PairMatches:
-    """The result with the pixels of the matched points."""
+def measured(
+    views: Views, result: PairMatches, geometry: Geometry, shift: np.ndarray, covariance: np.ndarray, score: np.ndarray
+) -> PairMatches:
+    """The result with the pixels of matched points, by their shifts (n, 2) in m on the planes, the covariances of these
+    (n, 2, 2), and scores (n,)."""
     rows = geometry.rows
-    there = geometry.origin + np.einsum("na,nax->nx", done.shift, geometry.axes)
+    there = geometry.origin + np.einsum("na,nax->nx", shift, geometry.axes)
     for row, origin, sigma in (
         (result.first, geometry.origin, result.sigma_first),
         (result.second, there, result.sigma_second),
@@ -380,15 +332,16 @@ def _measured(views: Views, result: PairMatches, geometry: _Geometry, done: _Pas
         found = project_planes(views.camera_of(row), *pose, origin, geometry.axes, [1, 1])
         if row == result.second:
             result.uv_second[rows] = found.nodes[:, 1, 1]
-        of_pixel = np.einsum("nia,nab,nib->ni", found.by_plane, 0.5 * done.covariance, found.by_plane)
+        of_pixel = np.einsum("nia,nab,nib->ni", found.by_plane, 0.5 * covariance, found.by_plane)
         sigma[rows] = np.sqrt(of_pixel + INTERPOLATED**2)
-    result.score[rows] = done.score
+    result.score[rows] = score
     lost = rows[~np.all(np.isfinite(result.uv_second[rows]), axis=1)]
     result.outcome[lost] = TieOutcome.not_visible
     return result
 
 
-def _nothing(both: tuple[int, int], uv: np.ndarray) -> PairMatches:
+def nothing(both: tuple[int, int], uv: np.ndarray) -> PairMatches:
+    """The result of a pair in which nothing is measured."""
     n, (first, second) = len(uv), both
     second_uv, sigma_first, sigma_second = (np.full((n, 2), np.nan) for _ in range(3))
     outcome = np.full(n, TieOutcome.not_visible, np.int8)

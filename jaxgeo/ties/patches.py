@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgeo.register.blocks import cut
+from jaxgeo.register.gradient_orientation import orientation_channels
 from jaxgeo.ties.pictures import Pictures, sample
 from jaxgeo.ties.views import Projected, Views, project_planes
 
 
 class Patches(NamedTuple):
-    """n patches of (rows, cols) cells below each other, (n rows, cols), and their known cells; `shape` of one."""
+    """n patches of (rows, cols) cells below each other, (n rows, cols), and their known cells; `shape` of one. `grey`
+    may have several channels (channels, n rows, cols)."""
 
     grey: np.ndarray
     known: np.ndarray
@@ -21,24 +23,37 @@ class Patches(NamedTuple):
     def centres(self) -> np.ndarray:
         """Centres (n, 2) of the patches, (row, col) in the stack."""
         rows, cols = self.shape
-        first = rows * np.arange(len(self.grey) // rows)
+        first = rows * np.arange(len(self.known) // rows)
         return np.stack([first + 0.5 * (rows - 1), np.full(len(first), 0.5 * (cols - 1))], axis=1)
 
     def of(self, chosen: np.ndarray) -> Patches:
         """Some of the patches."""
-        grey, known = (x.reshape(-1, *self.shape)[chosen].reshape(-1, self.shape[1]) for x in (self.grey, self.known))
-        return Patches(grey, known, self.shape)
+        return _stacked(*(one[..., chosen, :, :] for one in self.apart()))
+
+    def apart(self) -> tuple[np.ndarray, np.ndarray]:
+        """(values (..., n, rows, cols), known cells (n, rows, cols)) of the patches."""
+        grey, known = (x.reshape(*x.shape[:-2], -1, *self.shape) for x in (self.grey, self.known))
+        return grey, known
+
+    def oriented(self) -> Patches:
+        """The channels of the orientation of the patches, each by itself."""
+        return _stacked(*orientation_channels(*self.apart()))
 
     def cut(self, moved: np.ndarray, side: int) -> Patches:
         """Squares of `side` cells (even, as the patches are) around points `moved` (n, 2) whole cells from the
         centres; unknown beyond the patches."""
-        rows, cols = self.shape
         first = (np.array(self.shape) - side) // 2 + moved.astype(int)
-        parts = []
-        for values in (self.grey, self.known):
-            each = zip(values.reshape(-1, rows, cols), first, strict=True)
-            parts.append(np.concatenate([cut(one, corner, (side, side)) for one, corner in each]))
-        return Patches(parts[0], parts[1], (side, side))
+        parts = [
+            np.stack([cut(values[..., k, :, :], corner, (side, side)) for k, corner in enumerate(first)], axis=-3)
+            for values in self.apart()
+        ]
+        return _stacked(parts[0], parts[1])
+
+
+def _stacked(grey: np.ndarray, known: np.ndarray) -> Patches:
+    """Patches from values (..., n, rows, cols) and known cells (n, rows, cols)."""
+    rows, cols = known.shape[1:]
+    return Patches(grey.reshape(*grey.shape[:-3], -1, cols), known.reshape(-1, cols), (rows, cols))
 
 
 def patches_of(

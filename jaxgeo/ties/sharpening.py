@@ -47,6 +47,6 @@ def sharpened(
 
 
 def _windows(patches: Patches) -> tuple[Any, Any]:
-    """Grey values and known cells (n, rows, cols)."""
-    grey, known = (x.reshape(-1, *patches.shape) for x in (patches.grey, patches.known))
-    return jnp.asarray(grey.astype(float)), jnp.asarray(known)
+    """Values (n, ..., rows, cols) and known cells (n, rows, cols)."""
+    grey, known = patches.apart()
+    return jnp.asarray(np.moveaxis(grey, -3, 0).astype(float)), jnp.asarray(known)

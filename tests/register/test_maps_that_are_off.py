@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy
 from support.rendered import noisy, spoilt, textured
+from support.unlike_images import folded
 
 from jaxgeo._locate import locate
 from jaxgeo.earth import Geodetic, R_ecef_from_enu
@@ -90,6 +91,23 @@ def test_a_map_that_is_off_by_many_cells_is_followed(reference: Orthoimage, imag
         assert np.all(sigma < 5.0)
         apart, sigmas = off(found)
         assert np.all(np.abs(apart) < 3.0 * sigmas)
+
+
+def test_a_map_of_another_sensor_is_followed_by_orientations(reference: Orthoimage, image: np.ndarray) -> None:
+    """Its contrast is inverted in the bright half: by grey values nothing, or too little, agrees."""
+    given = disturbed(shot(), np.random.default_rng(3), metres=20.0, degrees=0.2)
+    there = Orthoimage.of(folded(np.asarray(reference.values)[0]), reference.grid)
+    grey, orientation = (
+        register_image(SENSOR, given, image, there, DEM, errors(20.0, 0.2), map_errors(1.0), measure=measure)
+        for measure in ("grey", "orientation")
+    )
+    assert not grey.accepted
+    assert orientation.accepted, str(orientation)
+    apart, sigmas = off(orientation)
+    assert np.all(np.abs(apart) < 3.0 * sigmas)
+    assert np.all(np.hypot(*apart.T) < 0.5 * CELL)
+    with pytest.raises(ValueError, match="measure must be one of grey, orientation"):
+        register_image(SENSOR, given, image, there, DEM, errors(20.0, 0.2), map_errors(1.0), measure="gray")
 
 
 def test_a_shift_that_is_known_before_is_used(reference: Orthoimage, image: np.ndarray) -> None:

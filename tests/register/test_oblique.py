@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from support.ngi import Flight
 from support.rendered import clouded, noisy, spoilt, textured
+from support.unlike_images import folded
 
 from jaxgeo import Dem, ErrorModel, FrameCamera, Geodetic, Gimbal, Mount, Sensor, Shot, Status, locate
 from jaxgeo.earth import WGS84, R_ecef_from_enu
@@ -110,6 +111,16 @@ def check_right(found: Registration, here: Scene | None = None) -> None:
 def test_an_oblique_image_is_registered() -> None:
     found, _ = registered(spoilt(scene().image, seed=5), scene().reference, seed=1)
     check_right(found)
+
+
+def test_an_oblique_image_is_registered_to_a_map_of_another_sensor() -> None:
+    here, seed = scene(), 1
+    given = disturbed(here.shot, np.random.default_rng(seed), metres=METRES, degrees=DEGREES)
+    there = _of(folded(_map()))
+    image = spoilt(here.image, seed=5)
+    arguments = (here.sensor, given, image, there, here.terrain, MODEL, TIE_ERRORS)
+    assert not register_image(*arguments, known=here.known).accepted
+    check_right(register_image(*arguments, known=here.known, measure="orientation"))
 
 
 @pytest.mark.parametrize("seed", range(2, 7))

@@ -171,11 +171,21 @@ def names_of_classes(folder: pathlib.Path) -> None:
     assert read_detections(folder)[0].attributes["label"] == "car"
 
 
+def keypoints(_: pathlib.Path) -> None:
+    """Keypoints of SIFT and ORB."""
+    from jaxgeo.ties import OrbFeatures, SiftFeatures
+
+    grey = np.random.default_rng(0).normal(size=(160, 160)).repeat(4, axis=0).repeat(4, axis=1).astype(np.float32)
+    for features in (SiftFeatures(), OrbFeatures()):
+        assert len(features.find(grey, np.ones(grey.shape, bool)).uv) > 50
+
+
 EXTRAS = {
     "cluster": Extra(
         ("bokeh", "dask", "distributed", "jinja2", "mgrs", "pyarrow", "pyogrio", "yaml"),
         (scheduler,),
     ),
+    "features": Extra(("cv2",), (keypoints,)),
     "plot": Extra(("matplotlib",), (picture,)),
     "report": Extra(("bokeh", "jinja2", "matplotlib"), (page,)),
     "gis": Extra(("mgrs", "pyarrow", "pyogrio"), (geopackage, parquet, squares)),

@@ -7,6 +7,7 @@ import pathlib
 import re
 import shlex
 import shutil
+import sys
 
 import jax
 import numpy as np
@@ -411,6 +412,29 @@ def test_a_second_run_reads_the_matches_of_the_first(here, done) -> None:
         assert f"without ties: {pair['first']} and {pair['second']} (" in result.stdout
     assert content["locate"] in result.stdout
     assert (out / "orientations.csv").read_bytes() == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [["--measure", "orientation"], ["--features", "sift"]], ids=lambda one: one[1])
+def test_other_measures_and_keypoints_join_the_same_images(tmp_path, here, options: list[str]) -> None:
+    """Poses err within their standard deviations."""
+    if "sift" in options:
+        pytest.importorskip("cv2", reason="needs the extra: pip install 'jaxgeo[features]'")
+    out = tmp_path / "out"
+    result = run(*here.arguments, *OPTIONS, *options, "-o", out, "--json")
+    assert result.exit_code == 0, result.output
+    found = read_orientations(out / "orientations.csv", height_datum="ellipsoid")
+    assert found.names.tolist() == here.names[:4]
+    assert found.sigma is not None
+    away = away_of(here, found)
+    assert np.all(np.abs(away[:, :3]) < 3.5 * found.sigma[:, [1, 0, 2]])
+    assert np.all(np.abs(away[:, 3:]) < 3.5 * np.max(found.sigma[:, 3:], axis=1, keepdims=True))
+
+
+def test_keypoints_without_opencv_name_the_extra(tmp_path, here, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    result = run(*here.arguments, *OPTIONS, "--features", "orb", "-o", tmp_path / "out")
+    assert_refused(result, "--features orb", "pip install 'jaxgeo[features]'")
 
 
 def test_a_copy_of_an_image_changes_nothing(tmp_path, here, done) -> None:

@@ -11,11 +11,11 @@ import scipy
 from scipy.spatial.transform import Rotation
 from support.drone_strip import ERRORS, SENSOR, Strip, ground, strip, views_of
 from support.misleading_scenes import periodic, rows_of_trees, shadows, shown, squared_errors, water
+from support.unlike_images import off_true_rays
 
 from jaxgeo import Exposure
 from jaxgeo.adjust import ImagePoints
 from jaxgeo.ties import Correction, Matching, Ties, Views, candidate_pairs, correct, find_ties
-from jaxgeo.ties.views import project_planes
 
 pytestmark = pytest.mark.costly
 
@@ -48,27 +48,6 @@ def errors_of(here: Strip, found: Correction) -> np.ndarray:
     return np.concatenate([away, Rotation.from_matrix(turn).as_rotvec()], axis=1)
 
 
-def off_true_rays(here: Strip, observed: ImagePoints) -> np.ndarray:
-    """Distances (n,) in px of measurements from the ground that the first image of a point shows, by the true poses."""
-    true = views_of(here.names, here.true)
-    off = []
-    level = float(np.asarray(true.frame.from_geodetic(here.true[0].pose.position))[2]) - 150.0
-    for point in np.unique(observed.point):
-        rows = np.flatnonzero(observed.point == point)
-        image = [here.names.index(name) for name in observed.image[rows]]
-        uv = observed.uv[rows]
-        camera = true.cameras["1"]
-        ray = np.append((uv[0] - np.asarray(camera.principal_px)) / np.asarray(camera.focal_px), 1.0)
-        ray = true.R_frame_from_camera[image[0]] @ ray
-        place = true.centre[image[0]] + ray * (level - true.centre[image[0], 2]) / ray[2]
-        axes = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]])
-        for k in range(1, len(rows)):
-            pose = true.centre[image[k]], true.R_frame_from_camera[image[k]]
-            found = project_planes(camera, *pose, place[None], axes, [1, 1])
-            off.append(np.linalg.norm(found.nodes[0, 1, 1] - uv[k]))
-    return np.array(off)
-
-
 def test_neighbours_are_paired(here: Strip) -> None:
     pairs = [pair[:2] for pair in candidate_pairs(here.views, ground())]
     assert {(0, 1), (1, 2), (2, 3)} <= set(pairs)
@@ -77,7 +56,7 @@ def test_neighbours_are_paired(here: Strip) -> None:
 
 def test_ties_are_where_the_true_poses_have_them(here: Strip, ties: Ties) -> None:
     assert ties.observations is not None
-    off = off_true_rays(here, ties.observations)
+    off = np.linalg.norm(off_true_rays(here, ties.observations)[0], axis=1)
     assert len(off) > 60
     assert np.median(off) < 0.15  # px
     assert np.mean(off > 1.0) < 0.03
