@@ -99,7 +99,8 @@ def equations_about(
     has_row = ties.used & has_image
     residuals = jnp.where(ties.used[:, None], jnp.where(has_row[:, None], ties.uv - uv, jnp.inf), 0.0)
 
-    sensitivity = Sensitivity(problem.propagation.along(by_surface, by_enu), by_enu[:, :, 2], p_ecef)
+    sides = None if ties.sides is None else R[:, :, :2] @ ties.sides
+    sensitivity = Sensitivity(problem.propagation.along(by_surface, by_enu), by_enu[:, :, 2], p_ecef, sides)
     cov = tie_covariances(ties, problem.tie_errors, sensitivity)
     roots = inverse_roots(cov)
     weights = robust_weights(problem.loss, roots, residuals, ties)
