@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.uncertainty.sources import TerrainField
 
-# # A uniform window of unit side is represented by two Gaussians at +-CENTRE of standard deviation WIDTH. Both numbers
+# A uniform window of unit side is represented by two Gaussians at +-CENTRE of standard deviation WIDTH. Both numbers
 # follow from its variance, CENTRE^2 + WIDTH^2 = 1/12, and the integral of its square, 1: with these the mean is right
 # where the correlation length is much longer than the side, and where it is much shorter.
 WIDTH, CENTRE = 0.150932249220825, 0.246074764001667
-# # Weights and lengths (in ranges) of three Gaussians that represent a spherical variogram to 0.02 of its sill; fitted by
-# least squares under positive weights that sum to one, with the integral over the plane.
+# Weights and lengths (in ranges) of three Gaussians that represent a spherical variogram to 0.02 of its sill, and its
+# integral over the plane to 0.04; fitted by least squares, with positive weights that sum to one.
 SPHERICAL = ((0.04854, 0.02539), (0.15148, 0.12297), (0.79998, 0.50427))
 
 Sides = Float[Array, "n 2 2"]
@@ -60,9 +60,7 @@ def _covariances(field: TerrainField, centre: Float[Array, "n 2"], sides: Sides)
     return jax.lax.scan(added, jnp.zeros((count, count)), jnp.asarray(pairs))[0]
 
 
-def _smoothed(
-    field: TerrainField, away: Float[Array, "n n 2"], spread: Float[Array, "n n 2 2"]
-) -> Float[Array, "n n"]:
+def _smoothed(field: TerrainField, away: Float[Array, "n n 2"], spread: Float[Array, "n n 2 2"]) -> Float[Array, "n n"]:
     """Expected covariance at points `away` apart, m, that are displaced by a Gaussian of covariance `spread` / 2."""
     total = jnp.zeros(away.shape[:-1])
     for variance, length in _gaussians(field):

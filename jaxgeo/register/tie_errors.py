@@ -103,13 +103,10 @@ class Alike(AbstractWhitener):
 
 
 class Sensitivity(Record):
-    """Derivatives of the ties' pixels by the map position (east, north) and the height, px/m; ECEF positions, and in
-    ECEF the sides of their blocks as columns, m, if they have any."""
+    """Derivatives of the ties' pixels by the map position (east, north) and the height, px/m."""
 
     by_place: Blocks
     by_height: Pixels
-    p_ecef: Float[Array, "ties 3"]
-    sides_ecef: Float[Array, "ties 3 2"] | None = None
 
 
 def checked_tie_errors(errors: Any, ties: TiePoints) -> TieErrors:
@@ -186,19 +183,23 @@ def robust_weights(loss: AbstractLoss, roots: Blocks, residuals: Pixels, ties: P
 
 
 def whitener(
-    cov: Blocks, roots: Blocks, weights: Weights, ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivity
+    cov: Blocks,
+    roots: Blocks,
+    weights: Weights,
+    ties: PaddedTies,
+    heights: Float[Array, "ties ties"] | None,
+    by_height: Pixels,
 ) -> AbstractWhitener:
     """Whitener of ties with the given covariances, each divided by the tie's weight.
 
-    The added variance is independent for each tie: a wrong match is uncorrelated with its neighbours.
+    `heights` in m2 are the covariances between the heights of ties, None for independent ones. The added variance is
+    independent for each tie: a wrong match is uncorrelated with its neighbours.
     """
-    if errors.terrain_field is None:
+    if heights is None:
         return Independent(roots * jnp.sqrt(weights)[:, None, None])
     count = ties.used.shape[0]
-    alike = height_covariances(errors.terrain_field, sensitivity.p_ecef, sensitivity.sides_ecef)
     apart = ties.used[:, None] & ties.used[None, :] & ~jnp.eye(count, dtype=bool)
-    alike = jnp.where(apart, alike, 0.0)
-    by_height = sensitivity.by_height
+    alike = jnp.where(apart, heights, 0.0)
     total = alike[:, None, :, None] * by_height[:, :, None, None] * by_height[None, None, :, :]
     own = cov / jnp.maximum(jnp.where(ties.used, weights, 1.0), FAINT)[:, None, None]
     numbers = jnp.arange(count)

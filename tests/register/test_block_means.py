@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.support import looks
 
 from jaxgeo import locate
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
@@ -17,6 +16,7 @@ from jaxgeo.register.block_means import covariances_of_means, variances_of_means
 from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.sources import TerrainField
+from tests.support import looks
 
 PLACE = Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0)
 AXES = np.asarray(R_ecef_from_enu(PLACE))
@@ -77,7 +77,7 @@ def test_a_field_much_longer_than_the_block_counts_whole(made) -> None:
     assert float(variances_of_means(made(1e6), jnp.asarray(square(300.0)))[0]) == pytest.approx(SIGMA**2, rel=5e-3)
 
 
-@pytest.mark.parametrize(("made", "area"), [(gaussian, np.pi), (spherical, 0.2 * np.pi)])
+@pytest.mark.parametrize("made, area", [(gaussian, np.pi), (spherical, 0.2 * np.pi)])
 def test_a_field_much_shorter_than_the_block_counts_by_its_integral(made, area: float) -> None:
     """The integral of the covariance over the plane is pi a^2 s^2 (Gaussian), and a fifth of it (spherical)."""
     length, side = 2.0, 1000.0

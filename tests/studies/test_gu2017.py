@@ -113,8 +113,28 @@ def test_a_repeated_texture_repeats_itself() -> None:
 def test_what_is_not_known_is_a_dash() -> None:
     """Of a real image there is no truth, and of blocks none may have been updated."""
     spread = gu2017.Spread(None, None, 12.0, 20.0, None, 2)
-    sheet = sheets.blocks_sheet([Dense(100, 0.1, 3, 16.0, 0.25, 9.0, 1.5, spread, 2.0, 0.4, (1.0, 2.0, 3.0))])
-    shown = ["0.1", "100", "3", "16.0", "25.0%", "9.0", "1.50", "2.00", "0.40", "–", "12.00", "–", "20.00", "–", "2"]
+    sheet = sheets.blocks_sheet(
+        [Dense(100, 0.1, 3, 16.0, 0.25, 9.0, 1.5, spread, 2.0, 0.4, (1.0, 2.0, 3.0), 1.25, 2.5)]
+    )
+    shown = [
+        "0.1",
+        "100",
+        "3",
+        "16.0",
+        "25.0%",
+        "9.0",
+        "1.50",
+        "2.00",
+        "0.40",
+        "1.25",
+        "2.50",
+        "–",
+        "12.00",
+        "–",
+        "20.00",
+        "–",
+        "2",
+    ]
     assert sheet.texts() == [shown]
 
 
@@ -188,6 +208,8 @@ def test_blocks_ties_and_frames(report) -> None:
         assert one.trials > 1
         assert len(one.each) % one.trials == 0
         assert len(one.each) > 0
+    for one in report.by_size:
+        assert 0.02 < one.squares_pose < 4.0  # of three trials; 11 for 64 cells with heights independent between blocks
     predicted = [one.spread.predicted90 for one in report.by_ties]
     assert np.all(np.diff(predicted) < 0.0)
     alone, carried, seldom = (report.frames[k : k + FRAMES] for k in range(0, 3 * FRAMES, FRAMES))

@@ -113,6 +113,7 @@ def flow_sheet(found: Flow) -> Sheet:
     return Sheet("flow", "An image from end to end (Figs. 1 and 4)", columns, rows, note)
 
 
+POSE = {"pose, px": ".2f", "±": ".2f", "predicted": ".2f", "squares of pose": ".2f"}
 SPREAD = {"RMS": ".2f", "sigma": ".2f", "90 %": ".2f", "CE90": ".2f", "squares": ".2f", "grazing": "d"}
 
 
@@ -125,14 +126,16 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
     rows: list[list[Cell]] = []
     for one in found:
         case: list[Cell] = [one.noise, one.size, one.trials, one.blocks, one.failed, one.ties, one.registration]
-        rows.append([*case, one.pose, one.half, *_spread(one.spread)])
+        rows.append([*case, one.pose, one.half, one.sigma_pose, one.squares_pose, *_spread(one.spread)])
     columns = {"noise": "g", "block": "d", "trials": "d", "blocks": ".1f", "failed": ".1%", "ties": ".1f"}
-    columns |= {"registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
+    columns |= {"registration": ".2f"} | POSE | SPREAD
     note = (
         f"An image of {WIDTH} x {HEIGHT} px on cells of {FINE_CELL:g} m; blocks in cells; noise in parts of the "
         "image's own spread. m in plan, over trials with other noise, light, elevation model and pose, which is off by "
         f"{LEFT[0]:g} m and {LEFT[1]:g} deg when the image is rectified; pose: how far off "
-        "what is truly there is imaged, whatever the elevation model; ± is half its 95 % interval. RMS and CE90 of "
+        "what is truly there is imaged, whatever the elevation model; ± is half its 95 % interval, predicted its value "
+        "from the covariance, with the elevation model's errors averaged over each block; squares of pose: the mean "
+        "square of error over prediction, 1 if it is right, of few trials. RMS and CE90 of "
         "fixes are mostly of the height of each pixel's own ground. "
         "failed: without a candidate, or the best one wrong. The paper: the more blocks the better, and about "
         f"{printed.BLOCK} px a side, as smaller ones fail. registration: what the residuals of ties come to beside the "
@@ -144,9 +147,13 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
 def ties_sheet(found: Sequence[Dense]) -> Sheet:
     """Results by number of ties."""
     rows: list[list[Cell]] = [
-        [int(one.ties), one.trials, one.registration, one.pose, one.half, *_spread(one.spread)] for one in found
+        [
+            *(int(one.ties), one.trials, one.registration, one.pose, one.half, one.sigma_pose, one.squares_pose),
+            *_spread(one.spread),
+        ]
+        for one in found
     ]
-    columns = {"ties": "d", "trials": "d", "registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
+    columns = {"ties": "d", "trials": "d", "registration": ".2f"} | POSE | SPREAD
     note = f"Ties drawn from those of the smallest blocks, {SUBSETS} times in each trial; m in plan, as above."
     return Sheet("ties", "Number of ties (section 2.3)", columns, rows, note)
 
