@@ -101,7 +101,7 @@ def navigation(
 
 
 def map_errors() -> TieErrors:
-    """Errors of the map and of the elevation model of `erring`, whose covariance is Gaussian, of the length 2 `ALIKE`."""
+    """Errors of the map, and of the elevation model of `erring`: their covariance is Gaussian, of length 2 `ALIKE`."""
     field = sources.TerrainField.of_variograms(gaussian=[(SIGMA_TERRAIN, 2.0 * ALIKE)])
     return TieErrors(registration=LEAST_MATCH, terrain_field=field)
 

@@ -15,6 +15,7 @@ from jaxgeo.studies.gu2017.fixes import Spread
 from jaxgeo.studies.gu2017.flow import Flow
 from jaxgeo.studies.gu2017.frames import DURATION, MATCHED, SLOPES, STEP, TIES, Frame
 from jaxgeo.studies.gu2017.intervals import rms, share
+from jaxgeo.studies.gu2017.mutual import BASE, NOISE, SHARED, Mutual
 from jaxgeo.studies.gu2017.scene import ABOVE, CELL, FINE_CELL, HEIGHT, OFF_NADIR, SIGMA_TERRAIN, WIDTH
 from jaxgeo.studies.gu2017.searching import CHOICES, FAR, SPOILT, Searched
 from jaxgeo.studies.sheet import Cell, Sheet
@@ -156,6 +157,34 @@ def ties_sheet(found: Sequence[Dense]) -> Sheet:
     columns = {"ties": "d", "trials": "d", "registration": ".2f"} | POSE | SPREAD
     note = f"Ties drawn from those of the smallest blocks, {SUBSETS} times in each trial; m in plan, as above."
     return Sheet("ties", "Number of ties (section 2.3)", columns, rows, note)
+
+
+def mutual_sheet(found: Sequence[Mutual]) -> Sheet:
+    """Several images without a map, before and after their mutual correction."""
+    rows: list[list[Cell]] = []
+    for one in found:
+        case: list[Cell] = [one.position, one.attitude_deg, one.images, one.points]
+        (low, high), (low_absolute, high_absolute) = one.bounds
+        of_neighbours: list[Cell] = [*one.relative, one.squares[0], f"{low:.2f}-{high:.2f}"]
+        absolute: list[Cell] = [*one.absolute, one.squares[1], f"{low_absolute:.2f}-{high_absolute:.2f}"]
+        rows.append([*case, *of_neighbours, *absolute, *one.common, one.share])
+    columns = {"position": "g", "attitude": "g", "images": "d", "ties": "d"}
+    for name in ("neighbours", "absolute"):
+        columns |= {f"{name} before": ".2f", f"{name} after": ".2f", f"{name} predicted": ".2f"}
+        columns |= {f"{name} squares": ".2f", f"{name} 99.9 %": ""}
+    columns |= {"common before": ".2f", "common after": ".2f", "common predicted": ".2f", "common share": ".1%"}
+    first = found[0]
+    hidden = "; ".join(dict.fromkeys(", ".join(one.hidden) or "none" for one in found))
+    note = (
+        f"{OFF_NADIR:g} deg off nadir, {ABOVE:g} m above hills, {BASE:g} m from image to image; {first.draws} draws each; m "
+        f"and deg of the navigation, {SHARED:.0%} of the variance common to all images; tie points simulated, "
+        f"measured to {NOISE:g} px. RMS in m on the ground, its height exact: neighbours, distance between the places "
+        "of one point in neighbouring images; absolute, error of the place of the middle of each image; common, of the "
+        "mean of these over the images, which tie points do not show, with its share of the squared absolute error. "
+        "squares: mean square of error over predicted, with the chi-square bounds of these draws. Shared errors of "
+        f"which more than nine tenths are left (1 of each image, 2 shared): {hidden}."
+    )
+    return Sheet("mutual", "Several images without a map (section 4)", columns, rows, note)
 
 
 def searches_sheet(found: Sequence[Searched]) -> Sheet:
