@@ -1,6 +1,6 @@
 """Reproduction of the registration of Gu and Qiao (2017), "A method for high accuracy airborne optical image
-geolocation": its error table, an end-to-end image, ties and blocks, the constrained search, frame sequences, and several
-images without a map."""
+geolocation": its error table, an end-to-end image, ties and blocks, the constrained search, frame sequences, and
+several images without a map."""
 
 from jaxgeo.studies.gu2017.accuracy import Accuracy, Radii, accuracy, over_slope, radii, within
 from jaxgeo.studies.gu2017.claims import claims_of

@@ -176,8 +176,8 @@ def mutual_sheet(found: Sequence[Mutual]) -> Sheet:
     first = found[0]
     hidden = "; ".join(dict.fromkeys(", ".join(one.hidden) or "none" for one in found))
     note = (
-        f"{OFF_NADIR:g} deg off nadir, {ABOVE:g} m above hills, {BASE:g} m from image to image; {first.draws} draws each; m "
-        f"and deg of the navigation, {SHARED:.0%} of the variance common to all images; tie points simulated, "
+        f"{OFF_NADIR:g} deg off nadir, {ABOVE:g} m above hills, {BASE:g} m from image to image; {first.draws} draws "
+        f"each; m and deg of the navigation, {SHARED:.0%} of the variance common to all images; tie points simulated, "
         f"measured to {NOISE:g} px. RMS in m on the ground, its height exact: neighbours, distance between the places "
         "of one point in neighbouring images; absolute, error of the place of the middle of each image; common, of the "
         "mean of these over the images, which tie points do not show, with its share of the squared absolute error. "
