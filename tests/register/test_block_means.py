@@ -13,6 +13,7 @@ from jaxgeo import locate
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.register import TieErrors, TiePoints, update_orientation
 from jaxgeo.register.block_means import covariances_of_means, variances_of_means
+from jaxgeo.register.comparison import sides_on_ground
 from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.sources import TerrainField
@@ -169,3 +170,9 @@ def test_sides_of_another_shape_are_refused() -> None:
     )
     with pytest.raises(ValueError, match=r"ties.sides must have the shape \(2, 2, 2\); got \(2, 2\)"):
         update_orientation(looks.sensor(), looks.shot(), ties, GROUND, FIRM, TieErrors(registration=1.0))
+
+
+def test_sides_of_blocks_of_a_map_to_the_north() -> None:
+    """Cells of 2 m, rows to the south and columns to the east: 30 rows are 60 m to the south, 20 columns 40 m east."""
+    cells_per_metre = np.array([[[0.0, -0.5], [0.5, 0.0]]])
+    np.testing.assert_allclose(sides_on_ground((30, 20), cells_per_metre)[0], [[0.0, 40.0], [-60.0, 0.0]], atol=1e-12)
