@@ -225,6 +225,7 @@ def test_several_images_without_a_map(report) -> None:
     assert [one.images for one in report.mutual] == [2, 4, 8, 2, 4, 8]
     for one in report.mutual:
         assert one.better == one.draws
+        assert one.refused == 0
         assert one.predicted_right
         assert one.relative[1] < 0.25 * one.relative[0]
         assert one.share > 0.9

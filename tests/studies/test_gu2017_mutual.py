@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
+import scipy.stats
 from scipy.spatial.transform import Rotation
 
+from jaxgeo.adjust import ImagePoints
 from jaxgeo.earth import WGS84
 from jaxgeo.io import example_dem
 from jaxgeo.studies.gu2017 import scene
-from jaxgeo.studies.gu2017.mutual import NAVIGATION, _disturbed, _Flight, _images, _placed, _views
+from jaxgeo.studies.gu2017.mutual import NAVIGATION, _disturbed, _Flight, _images, _placed, _row, _views
+from jaxgeo.ties import Correction, Views, correct
 
 CASE = NAVIGATION[1]
 
@@ -77,3 +82,24 @@ def test_errors_of_the_navigation_are_as_stated(flight: _Flight) -> None:
     for axis in range(2):
         cov = np.cov(errors[:, :, axis].T)
         np.testing.assert_allclose(cov, [[1.0, 0.5], [0.5, 1.0]], rtol=0.0, atol=0.2)  # 600 draws: 0.06 in a variance
+
+
+@pytest.mark.slow
+def test_refused_corrections_are_counted_and_not_better(flight: _Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three of four draws are corrected, one is refused."""
+    points = flight.ties[0] + np.random.default_rng(2).uniform(-800.0, 800.0, (60, 3))
+    calls = []
+
+    def corrected(given: Views, observed: ImagePoints) -> Correction:
+        calls.append(len(observed))
+        if len(calls) == 2:
+            raise ValueError("no two images share enough tie points to be adjusted")
+        return correct(given, observed)
+
+    monkeypatch.setattr(sys.modules[_row.__module__], "correct", corrected)
+    draws = [np.random.default_rng(k) for k in range(4)]
+    found = _row(flight._replace(ties=points), NAVIGATION[0], draws)
+    assert (found.draws, found.refused, found.better, len(calls)) == (4, 1, 3, 4)
+    assert found.relative[1] < found.relative[0]
+    freedom = 3 * 2  # of the three draws, one pair of neighbours each
+    np.testing.assert_allclose(found.bounds[0], scipy.stats.chi2.ppf([0.0005, 0.9995], freedom) / freedom)

@@ -479,7 +479,8 @@ def _mutual(found: Sequence[Mutual]) -> list[Claim]:
             "several images of one scene correct each other: neighbours agree better than before, in every draw",
             all(one.better == one.draws for one in found),
             MUTUAL,
-            f"{found[0].draws} draws each, distance between the places of one point: {'; '.join(figures)}.",
+            f"{found[0].draws} draws each, {sum(one.refused for one in found)} of all refused, as too many ties did "
+            f"not fit; distance between the places of one point: {'; '.join(figures)}.",
         ),
         _holds(
             f"{item}, prediction",

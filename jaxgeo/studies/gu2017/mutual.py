@@ -47,15 +47,17 @@ class Mutual(NamedTuple):
     in neighbouring images, `absolute` of the error of the place of a pixel, `common` of their mean over the images,
     which tie points do not show; each (before, after, predicted after). `squares` are the mean squares of the errors
     after by their predicted covariances: of the relative places, and of the absolute ones, with their 99.9 %
-    chi-square `bounds`. `better` is the number of draws in which neighbours agree better than before. `hidden` names
-    the shared errors of which more than nine tenths are left in the first draw. `points` is the number of tie points,
-    `seconds` the time of a correction, without the first, which compiles.
+    chi-square `bounds`. `better` is the number of draws in which neighbours agree better than before, `refused` that
+    of those without a correction, which are in no mean. `hidden` names the shared errors of which more than nine tenths
+    are left in the first draw. `points` is the number of tie points, `seconds` the time of a correction, without the
+    first, which compiles.
     """
 
     position: float
     attitude_deg: float
     images: int
     draws: int
+    refused: int
     points: int
     relative: tuple[float, float, float]
     absolute: tuple[float, float, float]
@@ -138,20 +140,27 @@ def _row(flight: _Flight, case: tuple[float, float], draws: Sequence[np.random.G
     image, point = np.nonzero(inside[:, points])
     exact = uv[image, points[point]]
     tables, squares, spent, hidden, n = [], [], [], (), len(names)
-    for number, rng in enumerate(draws):
+    refused = 0
+    for rng in draws:
         given = _views(flight, _disturbed(flight.shots, case, rng), case)
         measured = exact + NOISE * rng.normal(size=exact.shape)
         observed = ImagePoints(names[image], [f"tie {k}" for k in points[point]], measured, NOISE)
         began = time.perf_counter()
-        found = correct(given, observed)
+        try:
+            found = correct(given, observed)
+        except ValueError:  # of too many ties rejected, with errors of the navigation that are too large for so few
+            refused += 1
+            continue
         spent.append(time.perf_counter() - began)
-        if number == 0:
+        if not hidden:
             hidden = tuple(found.hidden)
         of_draw = _errors(flight, true, given, found)
         tables.append(of_draw[0])
         squares.append(of_draw[1])
+    if not tables:
+        raise ValueError(f"none of {len(draws)} draws of {n} images with errors of {case} m, deg could be corrected.")
     table = np.sqrt(np.mean(np.square(tables), axis=0))
-    freedom = [len(draws) * size for size in (2 * (n - 1), 2 * n)]
+    freedom = [len(tables) * size for size in (2 * (n - 1), 2 * n)]
     bounds = [_bounds(k) for k in freedom]
     each = np.array(tables)
     relative, absolute, common = ((float(a), float(b), float(c)) for a, b, c in table)
@@ -160,6 +169,7 @@ def _row(flight: _Flight, case: tuple[float, float], draws: Sequence[np.random.G
         *case,
         images=n,
         draws=len(draws),
+        refused=refused,
         points=len(points),
         relative=relative,
         absolute=absolute,

@@ -163,12 +163,12 @@ def mutual_sheet(found: Sequence[Mutual]) -> Sheet:
     """Several images without a map, before and after their mutual correction."""
     rows: list[list[Cell]] = []
     for one in found:
-        case: list[Cell] = [one.position, one.attitude_deg, one.images, one.points]
+        case: list[Cell] = [one.position, one.attitude_deg, one.images, one.points, one.refused]
         (low, high), (low_absolute, high_absolute) = one.bounds
         of_neighbours: list[Cell] = [*one.relative, one.squares[0], f"{low:.2f}-{high:.2f}"]
         absolute: list[Cell] = [*one.absolute, one.squares[1], f"{low_absolute:.2f}-{high_absolute:.2f}"]
         rows.append([*case, *of_neighbours, *absolute, *one.common, one.share])
-    columns = {"position": "g", "attitude": "g", "images": "d", "ties": "d"}
+    columns = {"position": "g", "attitude": "g", "images": "d", "ties": "d", "refused": "d"}
     for name in ("neighbours", "absolute"):
         columns |= {f"{name} before": ".2f", f"{name} after": ".2f", f"{name} predicted": ".2f"}
         columns |= {f"{name} squares": ".2f", f"{name} 99.9 %": ""}
@@ -181,7 +181,9 @@ def mutual_sheet(found: Sequence[Mutual]) -> Sheet:
         f"measured to {NOISE:g} px. RMS in m on the ground, its height exact: neighbours, distance between the places "
         "of one point in neighbouring images; absolute, error of the place of the middle of each image; common, of the "
         "mean of these over the images, which tie points do not show, with its share of the squared absolute error. "
-        "squares: mean square of error over predicted, with the chi-square bounds of these draws. Shared errors of "
+        "squares: mean square of error over predicted, with the chi-square bounds of these draws; that of neighbours "
+        "is below 1 for two images, as few ties raise their standard deviation by chance. refused: draws in which too "
+        "many ties did not fit. Shared errors of "
         f"which more than nine tenths are left (1 of each image, 2 shared): {hidden}."
     )
     return Sheet("mutual", "Several images without a map (section 4)", columns, rows, note)
