@@ -23,6 +23,7 @@ from jaxgeo.register.tie_errors import (
     Sensitivity,
     TieErrors,
     Weights,
+    height_covariances,
     information_of,
     inverse_roots,
     robust_weights,
@@ -42,7 +43,10 @@ Square = Float[Array, "unknowns unknowns"]
 
 
 class Problem(Record):
-    """Forward-model inputs and error model of the navigation, tie points and their errors, and the prior."""
+    """Forward-model inputs and error model of the navigation, tie points and their errors, and the prior.
+
+    `heights` in m2 are the covariances between the terrain heights of different ties, if they are correlated.
+    """
 
     inputs: ModelInputs
     model: ErrorModel
@@ -51,6 +55,7 @@ class Problem(Record):
     prior: Prior
     loss: AbstractLoss
     propagation: AbstractTiePropagation
+    heights: Float[Array, "ties ties"] | None = None
 
 
 class Equations(NamedTuple):
@@ -93,18 +98,18 @@ def equations_about(
     def images(change: Float[Array, " changes"]) -> tuple[Pixels, Any]:
         return _images(problem, about, unknowns, change, given)
 
-    derivatives, (uv, statuses, p_ecef) = jax.jacfwd(images, has_aux=True)(jnp.zeros(count + 5))
+    derivatives, (uv, statuses) = jax.jacfwd(images, has_aux=True)(jnp.zeros(count + 5))
     by_error, by_surface, by_enu = jnp.split(derivatives, [count, count + 2], axis=2)
     has_image = seen_beside(statuses, uv) == Status.hit
     has_row = ties.used & has_image
     residuals = jnp.where(ties.used[:, None], jnp.where(has_row[:, None], ties.uv - uv, jnp.inf), 0.0)
 
-    sensitivity = Sensitivity(problem.propagation.along(by_surface, by_enu), by_enu[:, :, 2], p_ecef)
+    sensitivity = Sensitivity(problem.propagation.along(by_surface, by_enu), by_enu[:, :, 2])
     cov = tie_covariances(ties, problem.tie_errors, sensitivity)
     roots = inverse_roots(cov)
     weights = robust_weights(problem.loss, roots, residuals, ties)
     weights = jnp.where(settled, weights, robust_weights(Huber(), roots, residuals, ties))
-    whiten = whitener(cov, roots, weights, ties, problem.tie_errors, sensitivity)
+    whiten = whitener(cov, roots, weights, ties, problem.heights, sensitivity.by_height)
 
     jacobian = jnp.concatenate([-by_error, by_surface], axis=2)
     jacobian = jnp.where(has_row[:, None, None], jacobian, 0.0)
@@ -117,6 +122,17 @@ def equations_about(
     return Equations(residuals, cov, weights, whiten, normal, gradient, worst, cells)
 
 
+def with_heights(problem: Problem) -> Problem:
+    """The problem with the covariances between the heights of its ties, at the places of the prior: steps of an update
+    move ties by much less than the field's length."""
+    field, ties = problem.tie_errors.terrain_field, problem.ties
+    if field is None:
+        return problem
+    p_ecef, R = _places(problem, jnp.asarray(problem.prior.mean)[-2:])
+    sides = None if ties.sides is None else R[:, :, :2] @ ties.sides
+    return dataclasses.replace(problem, heights=height_covariances(field, p_ecef, sides))
+
+
 def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
     """Terrain cells that contain the ties."""
     shift = jnp.asarray(problem.prior.mean)[-2:] + (factor @ place)[-2:]
@@ -127,7 +143,7 @@ def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
 def _images(
     problem: Problem, inputs: ModelInputs, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
 ) -> tuple[Pixels, Any]:
-    """Pixels of the ties, and the tuple (pixels, statuses, places), after three consecutive changes.
+    """Pixels of the ties, and the tuple (pixels, statuses), after three consecutive changes.
 
     `change` stacks the error vector, shifts along the surface (east, north) and shifts of the points (east, north, up),
     m. One function, so that it is compiled once.
@@ -138,7 +154,7 @@ def _images(
 
     def image(
         place: Vector3, R: Matrix3, cell: Int[Array, "2"], rise: Float[Array, "2"] | None = None
-    ) -> tuple[Float[Array, "2"], StatusCode, Vector3]:
+    ) -> tuple[Float[Array, "2"], StatusCode]:
         p_ecef = place + R[:, :2] @ along
         if rise is None:
             p_ecef = on_surface(terrain, p_ecef, cell)
@@ -147,10 +163,10 @@ def _images(
             p_ecef = p_ecef + R[:, 2] * (jnp.sum(rise * along) + lift)
         p_ecef = p_ecef + R @ enu
         uv, status, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p_ecef, moved.atmosphere)
-        return uv, status, p_ecef
+        return uv, status
 
-    uv, statuses, p_ecef = jax.vmap(image)(*ties)
-    return uv, (uv, statuses, p_ecef)
+    uv, statuses = jax.vmap(image)(*ties)
+    return uv, (uv, statuses)
 
 
 def _places(problem: Problem, shift: Float[Array, "2"]) -> tuple[Float[Array, "ties 3"], Float[Array, "ties 3 3"]]:

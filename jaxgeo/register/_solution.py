@@ -23,7 +23,7 @@ from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.adjust.losses import Cauchy, Tukey
 from jaxgeo.earth import Geodetic
 from jaxgeo.observation import Exposure
-from jaxgeo.register._equations import Equations, Problem, Square, Unknowns, cells_of, equations_about
+from jaxgeo.register._equations import Equations, Problem, Square, Unknowns, cells_of, equations_about, with_heights
 from jaxgeo.register.tie_errors import Blocks, Pixels, Weights, squared_length
 from jaxgeo.status import Status, first_failure, status_where
 from jaxgeo.terrain import AbstractTerrain, Dem
@@ -74,7 +74,7 @@ class Solution(NamedTuple):
 @batch_filter_jit
 def solve(problem: Problem) -> Solution:
     """Orientation update from validated input."""
-    factor = problem.prior.factor()
+    problem, factor = with_heights(problem), problem.prior.factor()
     start = problem.model.moved(problem.inputs, jnp.asarray(problem.prior.mean)[:-2]).exposure
     dynamic, static = eqx.partition(start, eqx.is_array)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgeo.register.blocks import Matches
+from jaxgeo.register.blocks import Matches, block_shape
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.images import Images
 from jaxgeo.register.prediction import Shifts
@@ -20,7 +20,8 @@ class AbstractComparison(abc.ABC):
     """Image and reference in the same cells, (rows, cols) or (channels, rows, cols), with masks (rows, cols) of valid
     cells.
 
-    `cell` is the side of a cell on the ground, m. Constructed from `place`, the part of a plan that defines the cells.
+    `cell` is the side of a cell on the ground, m, `block` that of a block in cells. Constructed from `place`, the part
+    of a plan that defines the cells.
     """
 
     grey: np.ndarray
@@ -28,6 +29,7 @@ class AbstractComparison(abc.ABC):
     reference: np.ndarray
     known_reference: np.ndarray
     cell: float
+    block: int
 
     @abc.abstractmethod
     def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
@@ -42,10 +44,19 @@ class AbstractComparison(abc.ABC):
         """Tie points of the chosen blocks whose centres are visible: the pixel of the block's centre, and the ground
         position of the same content in the reference."""
 
+    def sides(self, cells_per_metre: np.ndarray) -> np.ndarray:
+        """Sides (n, 2, 2) of blocks on the ground as columns, to the east and north in m."""
+        return sides_on_ground(block_shape(self.known.shape, self.block), cells_per_metre)
+
 
 def tied(chosen: Chosen, shifts: Shifts) -> np.ndarray:
     """Flags of blocks that become ties: chosen, with a visible centre."""
     return np.asarray(chosen.is_chosen) & np.asarray(shifts.visible)
+
+
+def sides_on_ground(shape: tuple[int, int], cells_per_metre: np.ndarray) -> np.ndarray:
+    """Sides (n, 2, 2) of blocks of `shape` (rows, cols) cells as columns, to the east and north in m."""
+    return np.linalg.inv(cells_per_metre) * np.array(shape)[None, None, :]
 
 
 def on_ground(covariance: np.ndarray, cells_per_metre: np.ndarray) -> np.ndarray:

@@ -49,8 +49,7 @@ class InImage(AbstractComparison):
     """
 
     def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: ImagePlace, block: int) -> None:
-        del block
-        self._inputs, self._model = inputs, model
+        self._inputs, self._model, self.block = inputs, model, block
         self._factor, (down, across) = place.factor, place.aside
         self._first = np.array([-down, -across])
         grey, known = images.shrunk(place.factor)
@@ -84,7 +83,7 @@ class InImage(AbstractComparison):
         per_metre = np.where(np.asarray(at.visible)[:, None, None], np.asarray(at.cells_per_metre), here)
         ground = Geodetic(lat=found.lat, lon=found.lon, height=found.height)
         covariance = on_ground(chosen.of(matches.covariance)[kept], per_metre)
-        return TiePoints(np.asarray(shifts.uv)[kept], ground, covariance)
+        return TiePoints(np.asarray(shifts.uv)[kept], ground, covariance, sides=self.sides(per_metre))
 
     def _pixels(self, places: np.ndarray) -> np.ndarray:
         """Pixels (n, 2), (column, row), of places (row, col)."""

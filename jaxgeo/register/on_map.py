@@ -42,7 +42,7 @@ class OnMap(AbstractComparison):
     def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
         level = images.level(place.factor)
         top, left, bottom, right = window = _wider(place.window, level.known.shape, 4 * block)
-        self._inputs, self._model = inputs, model
+        self._inputs, self._model, self.block = inputs, model, block
         self._grid = level.grid.window(float(top), float(left))
         grey, self.known = _rectified(inputs, images, self._grid, place.window, window)
         if not self.known.any():
@@ -62,7 +62,8 @@ class OnMap(AbstractComparison):
         rise, away = np.asarray(shifts.rise)[kept], np.linalg.solve(per_metre, shift[:, :, None])[:, :, 0]
         height = np.asarray(shifts.height)[kept] + np.sum(rise * away, axis=1)
         covariance = on_ground(chosen.of(matches.covariance)[kept], per_metre)
-        return TiePoints(np.asarray(shifts.uv)[kept], Geodetic(lat=lat, lon=lon, height=height), covariance, rise=rise)
+        ground = Geodetic(lat=lat, lon=lon, height=height)
+        return TiePoints(np.asarray(shifts.uv)[kept], ground, covariance, rise=rise, sides=self.sides(per_metre))
 
 
 def _wider(window: tuple[int, int, int, int], shape: tuple[int, ...], aside: int) -> tuple[int, int, int, int]:

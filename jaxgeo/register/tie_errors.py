@@ -14,6 +14,7 @@ from jaxgeo._checks import as_float64, check_is, check_range, concrete
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField
 from jaxgeo.adjust.losses import AbstractLoss
+from jaxgeo.register.block_means import covariances_of_means, variances_of_means
 from jaxgeo.register.ties import PaddedTies, TiePoints
 from jaxgeo.uncertainty.sources import TerrainField
 
@@ -29,9 +30,13 @@ class TieErrors(Record):
     """Standard deviations in m of reference and terrain, in addition to the covariance of each match.
 
     `registration` is independent for each tie, the same along east and north; `terrain` is the elevation model's height
-    error, independent for each tie; `terrain_field` is a spatially correlated part of the height errors, which
-    correlates ties. `shift` is the common map shift (map position = true position + shift), the same along east and
-    north: it is estimated with the navigation errors unless it is zero.
+    error, independent for each tie: that of its point, or of the mean over its block. `terrain_field` is a spatially
+    correlated part of the height errors, stated for points, which correlates ties. Over the matched blocks of ties with
+    `TiePoints.sides`, as those of `register_image`, it is averaged: it counts whole where its correlation length is
+    much longer than a block, and by its integral over the plane divided by the block's area where it is much shorter.
+    White noise of single posts h m apart is one with a Gaussian variogram of the length h / sqrt(pi). `shift` is the
+    common map shift (map position = true position + shift), the same along east and north: it is estimated with the
+    navigation errors unless it is zero.
     """
 
     registration: ScalarField = 0.0
@@ -98,11 +103,10 @@ class Alike(AbstractWhitener):
 
 
 class Sensitivity(Record):
-    """Derivatives of the ties' pixels by the map position (east, north) and the height, px/m; and ECEF positions."""
+    """Derivatives of the ties' pixels by the map position (east, north) and the height, px/m."""
 
     by_place: Blocks
     by_height: Pixels
-    p_ecef: Float[Array, "ties 3"]
 
 
 def checked_tie_errors(errors: Any, ties: TiePoints) -> TieErrors:
@@ -136,12 +140,31 @@ def tie_covariances(ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivit
     place = ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None, :, :]
     by_place, by_height = sensitivity.by_place, sensitivity.by_height
     total = jnp.einsum("tij,tjk,tlk->til", by_place, place, by_place)
-    variance = jnp.asarray(errors.terrain) ** 2
-    if errors.terrain_field is not None:
-        variance = variance + errors.terrain_field.variance_at(jnp.zeros(()))
-    total = total + variance * by_height[:, :, None] * by_height[:, None, :]
+    variance = height_variances(errors, ties)
+    total = total + variance[:, None, None] * by_height[:, :, None] * by_height[:, None, :]
     total = total + ties.pixel_sigma**2 * jnp.eye(2)[None, :, :]
     return jnp.where(ties.used[:, None, None], total, jnp.eye(2)[None, :, :])
+
+
+def height_variances(errors: TieErrors, ties: PaddedTies) -> Float[Array, " ties"]:
+    """Variance in m2 of the terrain height of each tie, or of its mean over the tie's block."""
+    field, count = errors.terrain_field, ties.used.shape[0]
+    variance = jnp.full(count, 1.0) * jnp.asarray(errors.terrain) ** 2
+    if field is None:
+        return variance
+    if ties.sides is None:
+        return variance + field.variance_at(jnp.zeros(()))
+    return variance + variances_of_means(field, ties.sides)
+
+
+def height_covariances(
+    field: TerrainField, p_ecef: Float[Array, "ties 3"], sides_ecef: Float[Array, "ties 3 2"] | None
+) -> Float[Array, "ties ties"]:
+    """Covariance in m2 of the correlated height errors at ties, or of their means over the ties' blocks."""
+    if sides_ecef is not None:
+        return covariances_of_means(field, p_ecef, sides_ecef)
+    squared = jnp.sum((p_ecef[:, None, :] - p_ecef[None, :, :]) ** 2, axis=2)
+    return field.variance_at(jnp.sqrt(squared))
 
 
 def inverse_roots(cov: Blocks) -> Blocks:
@@ -160,20 +183,23 @@ def robust_weights(loss: AbstractLoss, roots: Blocks, residuals: Pixels, ties: P
 
 
 def whitener(
-    cov: Blocks, roots: Blocks, weights: Weights, ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivity
+    cov: Blocks,
+    roots: Blocks,
+    weights: Weights,
+    ties: PaddedTies,
+    heights: Float[Array, "ties ties"] | None,
+    by_height: Pixels,
 ) -> AbstractWhitener:
     """Whitener of ties with the given covariances, each divided by the tie's weight.
 
-    The added variance is independent for each tie: a wrong match is uncorrelated with its neighbours.
+    `heights` in m2 are the covariances between the heights of ties, None for independent ones. The added variance is
+    independent for each tie: a wrong match is uncorrelated with its neighbours.
     """
-    if errors.terrain_field is None:
+    if heights is None:
         return Independent(roots * jnp.sqrt(weights)[:, None, None])
-    p_ecef, count = sensitivity.p_ecef, ties.used.shape[0]
-    squared = jnp.sum((p_ecef[:, None, :] - p_ecef[None, :, :]) ** 2, axis=2)
-    alike = errors.terrain_field.variance_at(jnp.sqrt(squared))
+    count = ties.used.shape[0]
     apart = ties.used[:, None] & ties.used[None, :] & ~jnp.eye(count, dtype=bool)
-    alike = jnp.where(apart, alike, 0.0)
-    by_height = sensitivity.by_height
+    alike = jnp.where(apart, heights, 0.0)
     total = alike[:, None, :, None] * by_height[:, :, None, None] * by_height[None, None, :, :]
     own = cov / jnp.maximum(jnp.where(ties.used, weights, 1.0), FAINT)[:, None, None]
     numbers = jnp.arange(count)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 else:
     CovariancesField: TypeAlias = Num[ArrayLike, "... 2 2"]
 
+LONGEST = 1e6  # m: side of a block on the ground
 SIZES = (32, 128, 512, 2048, 4096)  # padded sizes, so that other counts need no compilation
 
 
@@ -32,6 +33,9 @@ class TiePoints(Record):
     with a leading axis (n,), is ignored; the terrain height is used instead. With `rise` (n, 2), the slope to the east
     and north in m per m, the height is used: the tie lies on that plane, and only the errors of the terrain apply. Use
     it for matches of extended blocks, which move as the mean ground does, not as the facet at their centre.
+    `sides` (n, 2, 2) has the two sides of each matched block on the ground as columns, to the east and north in m: the
+    terrain's errors of `TieErrors.terrain_field` then are their means over the block. Without it they are those at one
+    point.
     """
 
     uv: PixelField
@@ -39,6 +43,7 @@ class TiePoints(Record):
     covariance: CovariancesField
     pixel_sigma: ScalarField = 0.0
     rise: PixelField | None = None
+    sides: CovariancesField | None = None
 
     @property
     def count(self) -> int:
@@ -79,13 +84,14 @@ class PaddedTies(NamedTuple):
     used: Bool[Array, " ties"]
     height: Float[Array, " ties"]
     rise: Float[Array, "ties 2"] | None
+    sides: Float[Array, "ties 2 2"] | None
 
 
 def checked_ties(ties: Any) -> TiePoints:
     """Validated tie points in float64.
 
     Raises `TypeError` for anything else, `ValueError` for no ties, shapes that do not fit, numbers that are not finite,
-    and an invalid match covariance.
+    an invalid match covariance, and sides of a block of more than 1000 km.
     """
     check_is(ties, TiePoints, "ties")
     check_is(ties.ground, Geodetic, "ties.ground")
@@ -104,15 +110,26 @@ def checked_ties(ties: Any) -> TiePoints:
     check_range(ties.pixel_sigma, "ties.pixel_sigma", "px", 0.0, 1e6)
     _check_covariances(concrete(covariance))
     pixel_sigma = as_float64(ties.pixel_sigma, "ties.pixel_sigma")
+    sides = None if ties.sides is None else _checked_sides(ties.sides, count)
     if ties.rise is None:
-        return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=jnp.zeros(count)), covariance, pixel_sigma)
+        level = Geodetic(lat=lat, lon=lon, height=jnp.zeros(count))
+        return TiePoints(uv, level, covariance, pixel_sigma, sides=sides)
     of_plane: Any = (as_array(ties.ground.height, "ties.ground.height"), as_array(ties.rise, "ties.rise"))
     height, rise = as_float64(of_plane, "ties")
     for name, shape, value in (("ground.height", (count,), height), ("rise", (count, 2), rise)):
         if value.shape != shape:
             raise ValueError(f"ties.{name} must have the shape {shape}; got {value.shape}.")
         check_finite(value, f"ties.{name}", "m" if name == "ground.height" else "m per m")
-    return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=height), covariance, pixel_sigma, rise)
+    return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=height), covariance, pixel_sigma, rise, sides)
+
+
+def _checked_sides(sides: Any, count: int) -> Any:
+    """Validated sides of blocks in float64."""
+    sides = as_float64(as_array(sides, "ties.sides"), "ties")
+    if sides.shape != (count, 2, 2):
+        raise ValueError(f"ties.sides must have the shape {(count, 2, 2)}; got {sides.shape}.")
+    check_range(sides, "ties.sides", "m", -LONGEST, LONGEST)
+    return sides
 
 
 def padded(ties: TiePoints) -> PaddedTies:
@@ -136,6 +153,7 @@ def padded(ties: TiePoints) -> PaddedTies:
         jnp.asarray(np.arange(size) < count),
         longer(ties.ground.height),
         None if ties.rise is None else longer(ties.rise),
+        None if ties.sides is None else longer(ties.sides),
     )
 
 

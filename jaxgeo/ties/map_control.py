@@ -23,7 +23,7 @@ from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.observation import Exposure
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.registration import Registration
-from jaxgeo.register.tie_errors import TieErrors
+from jaxgeo.register.tie_errors import TieErrors, height_covariances, height_variances
 from jaxgeo.register.ties import TiePoints, checked_ties, padded
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import FrameCamera, Shot
@@ -260,14 +260,11 @@ def _rows(
     rows, by_map, by_up, p_ecef = jax.vmap(one)(ties.uv, ties.lat, ties.lon, ties.height, *planes)
     place = ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None]
     own = jnp.einsum("tij,tjk,tlk->til", by_map, place, by_map) + ties.pixel_sigma**2 * jnp.eye(2)[None]
-    own = own + jnp.asarray(errors.terrain) ** 2 * by_up[:, :, None] * by_up[:, None, :]
-    field = errors.terrain_field
-    if field is None:
-        heights = jnp.zeros((0, 0))
-    else:
-        own = own + field.variance_at(jnp.zeros(())) * by_up[:, :, None] * by_up[:, None, :]
-        squared = jnp.sum((p_ecef[:, None, :] - p_ecef[None, :, :]) ** 2, axis=2)
-        heights = field.variance_at(jnp.sqrt(squared))
+    own = own + height_variances(errors, ties)[:, None, None] * by_up[:, :, None] * by_up[:, None, :]
+    heights = jnp.zeros((0, 0))
+    if errors.terrain_field is not None:
+        axes = jax.vmap(lambda p: R_ecef_from_enu(WGS84.to_geodetic(p))[:, :2])(p_ecef)
+        heights = height_covariances(errors.terrain_field, p_ecef, None if ties.sides is None else axes @ ties.sides)
     return centre, R, rows, own / jnp.maximum(weights, FAINT)[:, None, None], by_up, heights
 
 

@@ -349,11 +349,14 @@ def test_control_that_cannot_be_used_is_refused() -> None:
         correct(of.given, of.seen, map_control={"image 02": good})  # pyright: ignore
 
 
+SIDES = [[300.0, 50.0], [0.0, 400.0]]  # m: of a block, east and north
+
+
 @pytest.mark.parametrize("air", [None, pytest.param(Atmosphere(), marks=pytest.mark.slow)], ids=["vacuum", "air"])
 def test_observations_are_those_of_the_orientation_update(air: Atmosphere | None) -> None:
-    """Over hills, oblique, also with refraction, and with a common error of the terrain: the information of the map's
-    points on the errors of position, attitude, terrain and map is that of the orientation update, posterior less
-    prior."""
+    """Over hills, oblique, also with refraction, with a common error of the terrain, and with one that is correlated
+    and averaged over the blocks of the ties: the information of the map's points on the errors of position, attitude,
+    terrain and map is that of the orientation update, posterior less prior."""
     terrain = example_dem()
     pose = Pose.from_degrees(lat=36.30, lon=-84.25, height=3000.0, heading=40.0, pitch=25.0, roll=-5.0)
     shot, search = Shot(pose, np.zeros(0)), Bisection()
@@ -366,8 +369,10 @@ def test_observations_are_those_of_the_orientation_update(air: Atmosphere | None
         sources.Attitude.from_degrees(heading=0.3, pitch=0.2, roll=0.4),
         sources.TerrainHeight.from_metres(2.0),
     )
-    tie_errors = TieErrors(registration=1.5, terrain=3.0, shift=4.0)
-    ties = TiePoints(uv, ground, np.broadcast_to(np.array([[0.5, 0.1], [0.1, 0.3]]), (16, 2, 2)), 0.2)
+    field = sources.TerrainField.of_variograms(gaussian=[(4.0, 600.0)])
+    tie_errors = TieErrors(registration=1.5, terrain=3.0, shift=4.0, terrain_field=field)
+    covariance, sides = (np.broadcast_to(np.array(one), (16, 2, 2)) for one in ([[0.5, 0.1], [0.1, 0.3]], SIDES))
+    ties = TiePoints(uv, ground, covariance, 0.2, sides=sides)
     options: dict[str, Any] = {"atmosphere": air, "loss": LeastSquares()}
     update = update_orientation(SENSOR, shot, ties, terrain, ErrorModel(errors), tie_errors, **options)
     found = Registration(Outcome.registered, update.sensor, update.shot, update.terrain, update, tie_errors, ties, ())

@@ -1,5 +1,6 @@
 """Reproduction of the registration of Gu and Qiao (2017), "A method for high accuracy airborne optical image
-geolocation": its error table, an end-to-end image, ties and blocks, the constrained search, and frame sequences."""
+geolocation": its error table, an end-to-end image, ties and blocks, the constrained search, frame sequences, and
+several images without a map."""
 
 from jaxgeo.studies.gu2017.accuracy import Accuracy, Radii, accuracy, over_slope, radii, within
 from jaxgeo.studies.gu2017.claims import claims_of
@@ -7,6 +8,7 @@ from jaxgeo.studies.gu2017.fixes import Fixes, Spread, fixes_of, lattice, spread
 from jaxgeo.studies.gu2017.flow import Flow, Run, flow, one_run
 from jaxgeo.studies.gu2017.frames import Frame, frames
 from jaxgeo.studies.gu2017.given import read
+from jaxgeo.studies.gu2017.mutual import Mutual, mutual
 from jaxgeo.studies.gu2017.report import Report, run
 from jaxgeo.studies.gu2017.scene import Imaged, made, navigation
 from jaxgeo.studies.gu2017.searching import Searched, searches
@@ -18,6 +20,7 @@ __all__ = [
     "Flow",
     "Frame",
     "Imaged",
+    "Mutual",
     "Radii",
     "Report",
     "Run",
@@ -30,6 +33,7 @@ __all__ = [
     "frames",
     "lattice",
     "made",
+    "mutual",
     "navigation",
     "one_run",
     "over_slope",

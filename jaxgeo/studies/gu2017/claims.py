@@ -16,14 +16,17 @@ from jaxgeo.studies.gu2017.density import Dense
 from jaxgeo.studies.gu2017.equations import PAPER, equations_of
 from jaxgeo.studies.gu2017.flow import Flow
 from jaxgeo.studies.gu2017.frames import ALONE, CARRIED, SELDOM, Frame
+from jaxgeo.studies.gu2017.mutual import Mutual
 from jaxgeo.studies.gu2017.report import Report
 from jaxgeo.studies.gu2017.searching import CONSTRAINED, WHOLE, Searched
 
 REGISTER, MATCH, CLUSTERS = "jaxgeo.register.register_image", "jaxgeo.register.match_blocks", "jaxgeo.register.Clusters"
+MUTUAL = "jaxgeo.ties.correct"
 TABLE, UPDATE = "jaxgeo.register.gu2017.error_table", "jaxgeo.register.update_orientation"
 ABOUT = 25.0  # m, tolerance of "about 100 m"
 ALIKE = 3.0  # cells, shifts closer than this are equal
 STEADY = 0.02  # relative, for an error that stays constant
+MOSTLY = 0.9  # of a squared error: what is common to all images, if tie points determine the rest
 MUCH = 10.0  # times fewer comparisons: "greatly reduced"
 
 
@@ -34,7 +37,9 @@ def claims_of(report: Report) -> list[Claim]:
         found += [*_searches(report.searches), *_translation(report.searches)]
     if report.by_size:
         found += _blocks(report.by_size, report.by_ties)
-    return [*found, *_frames(report.frames)] if report.frames else found
+    if report.frames:
+        found += _frames(report.frames)
+    return [*found, *_mutual(report.mutual)] if report.mutual else found
 
 
 def _holds(item: str, statement: str, holds: bool, function: str, reason: str, why: Explanation | None = None) -> Claim:
@@ -450,4 +455,51 @@ def _frames(found: Sequence[Frame]) -> list[Claim]:
             f"{flights} flights over {len(set(found[0].relief))} grounds. Position in the last frame {figures}; mean "
             f"difference of squares {gap:.0f} ± {half:.0f} m2. Fix in the middle {fixes}.",
         )
+    ]
+
+
+# ------------------------------------------------------------------------------- several images without a map
+
+
+def _mutual(found: Sequence[Mutual]) -> list[Claim]:
+    """The paper says only that images may correct each other; the bounds are ours."""
+    item = "Section 4, without a reference"
+    named = [f"{one.images} images, {one.position:g} m, {one.attitude_deg:g} deg" for one in found]
+    figures, squares, left = [], [], []
+    for name, one in zip(named, found, strict=True):
+        within_bounds = [
+            f"{x:.2f} ({low:.2f} to {high:.2f})" for x, (low, high) in zip(one.squares, one.bounds, strict=True)
+        ]
+        figures.append(f"{name}: {one.relative[0]:.1f} to {one.relative[1]:.2f} m")
+        squares.append(f"{name}: {' and '.join(within_bounds)}")
+        left.append(f"{name}: {one.absolute[0]:.0f} to {one.absolute[1]:.0f} m, {one.share:.1%} of its square common")
+    return [
+        _holds(
+            item,
+            "several images of one scene correct each other: neighbours agree better than before, in every draw",
+            all(one.better == one.draws for one in found),
+            MUTUAL,
+            f"{found[0].draws} draws each, {sum(one.refused for one in found)} of all refused, as too many ties did "
+            f"not fit; distance between the places of one point: {'; '.join(figures)}.",
+        ),
+        _holds(
+            f"{item}, prediction",
+            "the propagated errors are right: squares of errors over predicted within 99.9 % of chance, in all cases",
+            all(one.predicted_right for one in found),
+            MUTUAL,
+            f"Of neighbours and of absolute places, with their bounds: {'; '.join(squares)}.",
+        ),
+        _holds(
+            f"{item}, accuracy",
+            f"fixes better than {printed.BETTER_THAN:g} m without a reference, too",
+            all(one.absolute[1] < printed.BETTER_THAN for one in found),
+            MUTUAL,
+            f"Errors of places, their heights exact: {'; '.join(left)}.",
+            Explanation(
+                f"a common shift is left, which images alone do not show: above {MOSTLY:.0%} of the squared error",
+                min(one.share for one in found) > MOSTLY,
+                True,
+                0.0,
+            ),
+        ),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -10,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgeo.earth import Geodetic
-from jaxgeo.register import PoseConsensus, TieErrors, TiePoints, Update, update_orientation
+from jaxgeo.register import PoseConsensus, TiePoints, Update, update_orientation
 from jaxgeo.sensor import Shot
-from jaxgeo.studies.gu2017.fixes import Spread, alike, fixes_of, pose_error, spread, truth
+from jaxgeo.studies.gu2017.fixes import Spread, alike, fixes_of, pose_error, predicted_pose_error, spread, truth
 from jaxgeo.studies.gu2017.intervals import mean
 from jaxgeo.studies.gu2017.mapped import Mapped, allowed, blocks, mapped, ties_of, unknowns
 from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, seen_again
@@ -30,7 +31,8 @@ PEAKS = 2  # candidates per block
 class Dense(NamedTuple):
     """Updates by ties from blocks of one size, in an image with the given noise: means over trials of the number of
     blocks and ties, and of the share of blocks whose best candidate is wrong or that have none; the errors of fixes,
-    and that of the `pose`, in px (`pose_error`), with half of its 95 % interval, and that of `each` trial."""
+    and that of the `pose`, in px (`pose_error`), with half of its 95 % interval, and that of `each` trial; `sigma_pose`
+    is its predicted value, `squares_pose` the mean square of both's quotient: 1 if the prediction is right."""
 
     size: int
     noise: float
@@ -43,6 +45,8 @@ class Dense(NamedTuple):
     pose: float
     half: float
     each: tuple[float, ...]
+    sigma_pose: float
+    squares_pose: float
 
 
 class _Matched(NamedTuple):
@@ -94,7 +98,7 @@ def _ties(here: Mapped, size: int, cov: np.ndarray) -> _Matched:
     chosen = PoseConsensus().choose(found.matches, found.jacobian, unknowns(here.errors))
     known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.visible)
     right = known & ~found.is_off(np.asarray(found.matches.shift)[:, 0]) & found.matches.is_candidate.any(axis=1)
-    ties = ties_of(here, found, chosen)
+    ties = ties_of(here, found, chosen, size)
     if ties.count > MOST_TIES:
         ties = _of(ties, np.linspace(0, ties.count - 1, MOST_TIES).astype(int))
     return _Matched(int(known.sum()), 1.0 - float(right.sum()) / max(int(known.sum()), 1), ties)
@@ -119,11 +123,13 @@ def _updated(im: Imaged, shot: Shot, case: tuple[int, float], matched: _Matched)
     fixes = fixes_of(im, found.shot, found.cov_error, found.sensor)
     spread_ = spread(fixes, truth(im))
     off = pose_error(im, found.sensor, found.shot)
-    return [Dense(*case, 1, matched.number, matched.failed, ties.count, registration, spread_, off, math.inf, (off,))]
+    sigma = predicted_pose_error(im, found.sensor, found.shot, found.cov_error)
+    of_pose = off, math.inf, (off,), sigma, (off / sigma) ** 2
+    return [Dense(*case, 1, matched.number, matched.failed, ties.count, registration, spread_, *of_pose)]
 
 
 def _with(im: Imaged, shot: Shot, ties: TiePoints, registration: float) -> tuple[Update, float]:
-    errors = TieErrors(registration=registration, terrain=im.tie_errors.terrain)
+    errors = dataclasses.replace(im.tie_errors, registration=registration)
     return update_orientation(*alike((im.sensor, shot)), ties, im.terrain, im.errors, errors), registration
 
 
@@ -131,8 +137,8 @@ def _of(ties: TiePoints, rows: np.ndarray) -> TiePoints:
     """A subset of the ties."""
     lat, lon, uv, cov = (np.asarray(x)[rows] for x in (ties.ground.lat, ties.ground.lon, ties.uv, ties.covariance))
     height = np.asarray(ties.ground.height)[rows]
-    rise = None if ties.rise is None else np.asarray(ties.rise)[rows]
-    return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=height), cov, rise=rise)
+    rise, sides = (None if x is None else np.asarray(x)[rows] for x in (ties.rise, ties.sides))
+    return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=height), cov, rise=rise, sides=sides)
 
 
 def _mean(rows: Sequence[Dense]) -> Dense:
@@ -148,7 +154,8 @@ def _mean(rows: Sequence[Dense]) -> Dense:
         pose=mean(each)[0],
         half=mean(each)[1],
         each=each,
+        sigma_pose=float(np.sqrt(np.mean([row.sigma_pose**2 for row in rows]))),
     )
 
 
-AVERAGED = ("blocks", "failed", "ties", "registration")
+AVERAGED = ("blocks", "failed", "ties", "registration", "squares_pose")

@@ -11,12 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo.observation import Exposure
 from jaxgeo.register import Registration
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.studies.gu2017.scene import Imaged, points_seen
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty import ErrorModel, PerImage, PerMeasurement, propagate
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
 
 Tree = TypeVar("Tree")
@@ -63,9 +65,16 @@ def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = No
     """Fixes of the lattice from a shot with the given error covariance, along the axes of the scene's errors."""
     sensor = im.sensor if sensor is None else sensor
     uv = jnp.asarray(lattice(im.sensor))
-    numbers = jnp.asarray(covariance), jnp.asarray(im.tie_errors.terrain, float)
+    numbers = jnp.asarray(covariance), jnp.asarray(height_sigma(im), float)
     given = alike((sensor, shot, im.terrain, im.errors, *numbers, uv))
     return Fixes(*(np.asarray(x) for x in _fixed(*given)))
+
+
+def height_sigma(im: Imaged) -> float:
+    """Standard deviation in m of the elevation model at one place."""
+    field = im.tie_errors.terrain_field
+    own = 0.0 if field is None else float(np.sum(np.asarray(field.sigma) ** 2))
+    return float(np.sqrt(float(im.tie_errors.terrain) ** 2 + own))
 
 
 def alike(tree: Tree) -> Tree:
@@ -101,6 +110,17 @@ def pose_error(im: Imaged, sensor: Sensor, shot: Shot) -> float:
     known, uv = np.isfinite(true[:, 0]), lattice(im.sensor)
     there = np.asarray(_imaged(*alike((sensor, shot)), jnp.asarray(np.where(known[:, None], true, true[known][0]))))
     return float(np.sqrt(np.mean(np.sum((there - uv)[known] ** 2, axis=1))))
+
+
+def predicted_pose_error(im: Imaged, sensor: Sensor, shot: Shot, covariance: Any) -> float:
+    """The predicted `pose_error` in px, from the covariance of the errors of a shot. NaN if the truth is unknown."""
+    true = truth(im)
+    if true is None:
+        return float("nan")
+    known = np.isfinite(true[:, 0])
+    points = jnp.asarray(np.where(known[:, None], true, true[known][0]))
+    variances = np.asarray(_image_variances(*alike((sensor, shot, im.errors)), jnp.asarray(covariance), points))
+    return float(np.sqrt(np.mean(variances[known])))
 
 
 def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
@@ -148,3 +168,19 @@ def _fixed(
 @eqx.filter_jit
 def _imaged(sensor: Sensor, shot: Shot, points: Any) -> jax.Array:
     return jax.vmap(lambda p: image_of_point(sensor, shot, jnp.asarray(0.0), p, None)[0])(points)
+
+
+@eqx.filter_jit
+def _image_variances(sensor: Sensor, shot: Shot, errors: ErrorModel, cov: Any, points: Any) -> jax.Array:
+    """Sum of the variances in px2 of column and row of the images of points."""
+    inputs = ModelInputs(Exposure(sensor, shot, jnp.asarray(0.0)), terrain=ConstantHeight(jnp.asarray(0.0)))
+
+    def one(point: jax.Array) -> jax.Array:
+        def image(error: jax.Array) -> jax.Array:
+            there = errors.moved(inputs, error).exposure
+            return image_of_point(there.sensor, there.motion, jnp.asarray(0.0), point, None)[0]
+
+        by = jax.jacfwd(image)(jnp.zeros(errors.size))
+        return jnp.trace(by @ cov @ by.T)
+
+    return jax.vmap(one)(points)

@@ -13,7 +13,7 @@ from jaxgeo.ortho import Orthoimage, rectify
 from jaxgeo.register import Registration, register_image
 from jaxgeo.register.prediction import window_of
 from jaxgeo.sensor import Shot
-from jaxgeo.studies.gu2017.fixes import Spread, direct, spread, truth, updated
+from jaxgeo.studies.gu2017.fixes import Spread, direct, height_sigma, spread, truth, updated
 from jaxgeo.studies.gu2017.scene import SIGMA_ATTITUDE, SIGMA_POSITION, Imaged, disturbed
 from jaxgeo.uncertainty import Propagation, propagate
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -82,8 +82,8 @@ def _pictured(im: Imaged, runs: list[Run]) -> Flow:
     after, fix = None, None
     if found.accepted:
         after = rectify(found.sensor, found.shot, im.image, found.terrain, *place, known=im.known).orthoimage
-        fix = found.fix(middle(im), im.tie_errors.terrain)
-    height = sources.TerrainHeight.from_metres(im.tie_errors.terrain, sharing=PerMeasurement())
+        fix = found.fix(middle(im), height_sigma(im))
+    height = sources.TerrainHeight.from_metres(height_sigma(im), sharing=PerMeasurement())
     model = ErrorModel((*im.errors.sources, height))
     return Flow(runs, reference, before, after, propagate(im.sensor, im.given, middle(im), im.terrain, model), fix)
 

@@ -14,7 +14,7 @@ from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
 from jaxgeo.observation import Exposure
 from jaxgeo.register import Prior, TieErrors, TiePoints, Update, propagate_prior, update_orientation
 from jaxgeo.sensor import Pose, Shot
-from jaxgeo.studies.gu2017.fixes import alike, fixes_of, lattice
+from jaxgeo.studies.gu2017.fixes import alike, fixes_of, height_sigma, lattice
 from jaxgeo.studies.gu2017.scene import (
     ABOVE,
     AZIMUTH,
@@ -153,7 +153,7 @@ def _on_map(points: Any, off: Any) -> tuple[Any, Any]:
 
 def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: str) -> list[list[float]]:
     """(position error, its sigma, error of the centre fix, its sigma) of each frame."""
-    tie_errors = TieErrors(registration=MATCHED, terrain=im.tie_errors.terrain)
+    tie_errors = TieErrors(registration=MATCHED, terrain=height_sigma(im))
     last: tuple[int, Update] | None = None
     rows = []
     for k, frame in enumerate(flown):

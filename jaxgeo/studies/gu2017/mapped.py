@@ -119,8 +119,8 @@ def unknowns(errors: ErrorModel) -> np.ndarray:
     return cov
 
 
-def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
-    """Tie points of the chosen blocks: their centre pixels, and the matching map positions."""
+def ties_of(here: Mapped, found: Blocks, chosen: Chosen, size: int) -> TiePoints:
+    """Tie points of the chosen blocks of `size` cells: their centre pixels, and the matching map positions."""
     kept = chosen.is_chosen & np.asarray(found.shifts.visible)
     there = (np.asarray(found.matches.centre) + chosen.of(found.matches.shift))[kept]
     metres = np.linalg.inv(np.asarray(found.shifts.cells_per_metre)[kept])
@@ -129,7 +129,8 @@ def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
     away = np.einsum("nij,nj->ni", metres, chosen.of(found.matches.shift)[kept])
     rise = np.asarray(found.shifts.rise)[kept]
     ground = Geodetic(lat=lat, lon=lon, height=np.asarray(found.shifts.height)[kept] + np.sum(rise * away, axis=1))
-    return TiePoints(np.asarray(found.shifts.uv)[kept], ground, 0.5 * (cov + np.swapaxes(cov, 1, 2)), rise=rise)
+    uv, sides = np.asarray(found.shifts.uv)[kept], size * metres
+    return TiePoints(uv, ground, 0.5 * (cov + np.swapaxes(cov, 1, 2)), rise=rise, sides=sides)
 
 
 def _true(here: Mapped, centres: np.ndarray, size: int) -> np.ndarray:

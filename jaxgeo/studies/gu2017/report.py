@@ -10,6 +10,7 @@ from jaxgeo.studies.gu2017.accuracy import Accuracy, accuracy
 from jaxgeo.studies.gu2017.density import Dense, by_size
 from jaxgeo.studies.gu2017.flow import Flow, flow
 from jaxgeo.studies.gu2017.frames import Frame, frames
+from jaxgeo.studies.gu2017.mutual import Mutual, mutual
 from jaxgeo.studies.gu2017.scene import Imaged, in_fine_cells, made
 from jaxgeo.studies.gu2017.searching import Searched, searches
 from jaxgeo.studies.sheet import Sheet
@@ -31,6 +32,7 @@ class Report(AbstractReport):
     by_ties: list[Dense]
     searches: list[Searched]
     frames: list[Frame]
+    mutual: list[Mutual]
 
     def sheets(self) -> list[Sheet]:
         found = [
@@ -46,6 +48,8 @@ class Report(AbstractReport):
             found += [sheets.blocks_sheet(self.by_size), sheets.ties_sheet(self.by_ties)]
         if self.frames:
             found += [sheets.frames_sheet(self.frames), sheets.grounds_sheet(self.frames)]
+        if self.mutual:
+            found += [sheets.mutual_sheet(self.mutual)]
         return found
 
 
@@ -56,6 +60,8 @@ def run(seed: int = 0, image: Imaged | None = None) -> Report:
         im = made(seed) if image is None else image
         in_turn = pool.submit(frames, im, seed=seed)
         sought = pool.submit(searches, im, seed)
+        several = pool.submit(mutual, im, seed)
         done = flow(im, seed=seed)
         whole, fewer = ([], []) if im.sight is None else by_size(in_fine_cells(im, seed), range(seed, seed + TRIALS))
-        return Report(im, table.result(), done, whole, fewer, sought.result(), in_turn.result())
+        others = sought.result(), in_turn.result(), several.result()
+        return Report(im, table.result(), done, whole, fewer, *others)

@@ -32,7 +32,7 @@ TARGET = (36.300, -84.250)  # deg: hills of Tennessee
 CELLS, CELL = (960, 960), 10.0  # map, m
 FINE_CELLS, FINE_CELL = (1980, 1620), 3.0  # map for large blocks, m
 SIGMA_POSITION, SIGMA_ATTITUDE = 50.0, 0.5  # m, deg: the second row of the paper's table
-SIGMA_TERRAIN = 5.0  # m, elevation model error, with correlation length ALIKE
+SIGMA_TERRAIN = 5.0  # m, elevation model error: white noise smoothed by a Gaussian of ALIKE
 ALIKE = 200.0  # m
 LEAST_MATCH = 0.5  # m: lower bound of a tie's standard deviation
 
@@ -100,6 +100,12 @@ def navigation(
     )
 
 
+def map_errors() -> TieErrors:
+    """Errors of the map, and of the elevation model of `erring`: their covariance is Gaussian, of length 2 `ALIKE`."""
+    field = sources.TerrainField.of_variograms(gaussian=[(SIGMA_TERRAIN, 2.0 * ALIKE)])
+    return TieErrors(registration=LEAST_MATCH, terrain_field=field)
+
+
 def world(seed: int = 0) -> World:
     """The packaged elevation model, taken as the true ground, with a synthetic map over it."""
     ground = example_dem()
@@ -146,8 +152,7 @@ def taken(there: World, sensor: Sensor, true: Shot, given: Shot, seed: int, sigh
     """
     sight = sight_of(sensor, true, there.ground) if sight is None else sight
     clear, known = shown(sight, there.reference, sensor)
-    errors = TieErrors(registration=LEAST_MATCH, terrain=SIGMA_TERRAIN)
-    of_map = known, there.reference, there.terrain, navigation(), errors
+    of_map = known, there.reference, there.terrain, navigation(), map_errors()
     return Imaged(sensor, given, spoilt(clear, seed)[0], *of_map, true, there.ground, clear, sight)
 
 

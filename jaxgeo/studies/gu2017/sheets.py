@@ -15,6 +15,7 @@ from jaxgeo.studies.gu2017.fixes import Spread
 from jaxgeo.studies.gu2017.flow import Flow
 from jaxgeo.studies.gu2017.frames import DURATION, MATCHED, SLOPES, STEP, TIES, Frame
 from jaxgeo.studies.gu2017.intervals import rms, share
+from jaxgeo.studies.gu2017.mutual import BASE, NOISE, SHARED, Mutual
 from jaxgeo.studies.gu2017.scene import ABOVE, CELL, FINE_CELL, HEIGHT, OFF_NADIR, SIGMA_TERRAIN, WIDTH
 from jaxgeo.studies.gu2017.searching import CHOICES, FAR, SPOILT, Searched
 from jaxgeo.studies.sheet import Cell, Sheet
@@ -113,6 +114,7 @@ def flow_sheet(found: Flow) -> Sheet:
     return Sheet("flow", "An image from end to end (Figs. 1 and 4)", columns, rows, note)
 
 
+POSE = {"pose, px": ".2f", "±": ".2f", "predicted": ".2f", "squares of pose": ".2f"}
 SPREAD = {"RMS": ".2f", "sigma": ".2f", "90 %": ".2f", "CE90": ".2f", "squares": ".2f", "grazing": "d"}
 
 
@@ -125,14 +127,16 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
     rows: list[list[Cell]] = []
     for one in found:
         case: list[Cell] = [one.noise, one.size, one.trials, one.blocks, one.failed, one.ties, one.registration]
-        rows.append([*case, one.pose, one.half, *_spread(one.spread)])
+        rows.append([*case, one.pose, one.half, one.sigma_pose, one.squares_pose, *_spread(one.spread)])
     columns = {"noise": "g", "block": "d", "trials": "d", "blocks": ".1f", "failed": ".1%", "ties": ".1f"}
-    columns |= {"registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
+    columns |= {"registration": ".2f"} | POSE | SPREAD
     note = (
         f"An image of {WIDTH} x {HEIGHT} px on cells of {FINE_CELL:g} m; blocks in cells; noise in parts of the "
         "image's own spread. m in plan, over trials with other noise, light, elevation model and pose, which is off by "
         f"{LEFT[0]:g} m and {LEFT[1]:g} deg when the image is rectified; pose: how far off "
-        "what is truly there is imaged, whatever the elevation model; ± is half its 95 % interval. RMS and CE90 of "
+        "what is truly there is imaged, whatever the elevation model; ± is half its 95 % interval, predicted its value "
+        "from the covariance, with the elevation model's errors averaged over each block; squares of pose: the mean "
+        "square of error over prediction, 1 if it is right, of few trials. RMS and CE90 of "
         "fixes are mostly of the height of each pixel's own ground. "
         "failed: without a candidate, or the best one wrong. The paper: the more blocks the better, and about "
         f"{printed.BLOCK} px a side, as smaller ones fail. registration: what the residuals of ties come to beside the "
@@ -144,11 +148,45 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
 def ties_sheet(found: Sequence[Dense]) -> Sheet:
     """Results by number of ties."""
     rows: list[list[Cell]] = [
-        [int(one.ties), one.trials, one.registration, one.pose, one.half, *_spread(one.spread)] for one in found
+        [
+            *(int(one.ties), one.trials, one.registration, one.pose, one.half, one.sigma_pose, one.squares_pose),
+            *_spread(one.spread),
+        ]
+        for one in found
     ]
-    columns = {"ties": "d", "trials": "d", "registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
+    columns = {"ties": "d", "trials": "d", "registration": ".2f"} | POSE | SPREAD
     note = f"Ties drawn from those of the smallest blocks, {SUBSETS} times in each trial; m in plan, as above."
     return Sheet("ties", "Number of ties (section 2.3)", columns, rows, note)
+
+
+def mutual_sheet(found: Sequence[Mutual]) -> Sheet:
+    """Several images without a map, before and after their mutual correction."""
+    rows: list[list[Cell]] = []
+    for one in found:
+        case: list[Cell] = [one.position, one.attitude_deg, one.images, one.points, one.refused]
+        (low, high), (low_absolute, high_absolute) = one.bounds
+        of_neighbours: list[Cell] = [*one.relative, one.squares[0], f"{low:.2f}-{high:.2f}"]
+        absolute: list[Cell] = [*one.absolute, one.squares[1], f"{low_absolute:.2f}-{high_absolute:.2f}"]
+        rows.append([*case, *of_neighbours, *absolute, *one.common, one.share])
+    columns = {"position": "g", "attitude": "g", "images": "d", "ties": "d", "refused": "d"}
+    for name in ("neighbours", "absolute"):
+        columns |= {f"{name} before": ".2f", f"{name} after": ".2f", f"{name} predicted": ".2f"}
+        columns |= {f"{name} squares": ".2f", f"{name} 99.9 %": ""}
+    columns |= {"common before": ".2f", "common after": ".2f", "common predicted": ".2f", "common share": ".1%"}
+    first = found[0]
+    hidden = "; ".join(dict.fromkeys(", ".join(one.hidden) or "none" for one in found))
+    note = (
+        f"{OFF_NADIR:g} deg off nadir, {ABOVE:g} m above hills, {BASE:g} m from image to image; {first.draws} draws "
+        f"each; m and deg of the navigation, {SHARED:.0%} of the variance common to all images; tie points simulated, "
+        f"measured to {NOISE:g} px. RMS in m on the ground, its height exact: neighbours, distance between the places "
+        "of one point in neighbouring images; absolute, error of the place of the middle of each image; common, of the "
+        "mean of these over the images, which tie points do not show, with its share of the squared absolute error. "
+        "squares: mean square of error over predicted, with the chi-square bounds of these draws; that of neighbours "
+        "is below 1 for two images, as few ties raise their standard deviation by chance. refused: draws in which too "
+        "many ties did not fit. Shared errors of "
+        f"which more than nine tenths are left (1 of each image, 2 shared): {hidden}."
+    )
+    return Sheet("mutual", "Several images without a map (section 4)", columns, rows, note)
 
 
 def searches_sheet(found: Sequence[Searched]) -> Sheet:
