@@ -23,7 +23,7 @@ FEWEST = 64  # common cells, at least
 UNEVEN = 1.7
 
 Cells = Float[Array, "rows cols"]
-Blocks = Float[Array, "channels rows cols"]
+Blocks = Float[Array, "*channels rows cols"]
 Wider = Float[Array, "*channels wide_rows wide_cols"]
 KnownWider = Bool[Array, "wide_rows wide_cols"]
 Weights = Float[Array, " taps"]
@@ -62,8 +62,8 @@ def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: 
     """
     known = all_known(known_T) & all_known(known_S)
     mask = known.astype(float)
-    S = standardised(channels(S), known_S)
-    fixed = smooth(standardised(channels(T), known_T), jnp.zeros(2))
+    S, T = one_or_more(S, known_S), one_or_more(T, known_T)
+    fixed = smooth(T, jnp.zeros(2))
 
     def goes_on(state: _State) -> Flag:
         _, last, steps = state
@@ -79,7 +79,7 @@ def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: 
     d, last, _ = jax.lax.while_loop(goes_on, step, (start, jnp.asarray(jnp.inf), jnp.asarray(0)))
     moved, count = smooth(S, d), jnp.sum(mask)
     normal, Z, residual = _equations(fixed, moved, mask)
-    if len(S) == 1:
+    if S.ndim == 2:
         covariance = spread(inverse(normal)[:2] @ Z, residual, count)
     else:
         covariance = spread_of_channels(inverse(normal)[:2, :2], fixed, moved, mask, UNEVEN)
@@ -102,25 +102,33 @@ def _equations(
     fixed: Smooth, moved: Smooth, mask: Cells
 ) -> tuple[Float[Array, "unknowns unknowns"], Float[Array, "unknowns values"], Blocks]:
     """(Z'X, Z, residuals) of shift, gain and offsets at a shift, with the optimal gain there."""
-    count, weight = jnp.maximum(jnp.sum(mask), 1.0), mask[None]
-    mean_T, mean_S = (means(weight * x, count) for x in (fixed.value, moved.value))
-    centred_T, centred_S = weight * (fixed.value - mean_T), weight * (moved.value - mean_S)
+    count = jnp.maximum(jnp.sum(mask), 1.0)
+    mean_T, mean_S = (means(mask * x, count) for x in (fixed.value, moved.value))
+    centred_T, centred_S = mask * (fixed.value - mean_T), mask * (moved.value - mean_S)
     power = jnp.sum(centred_S**2)
     gain = jnp.sum(centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
-    others = [centred_S, *offsets(len(centred_S), weight)]
-    Z = rows_of(weight * fixed.down, weight * fixed.across, *others)
-    X = rows_of(gain * weight * moved.down, gain * weight * moved.across, *others)
+    others = [centred_S, *offsets(mask, like=centred_S)]
+    Z = rows_of(mask * fixed.down, mask * fixed.across, *others)
+    X = rows_of(gain * mask * moved.down, gain * mask * moved.across, *others)
     return Z @ X.T, Z, centred_T - gain * centred_S
 
 
-def means(values: Blocks, count: Scalar) -> Float[Array, "channels 1 1"]:
+def one_or_more(values: Wider, known: KnownWider) -> Float[Array, "*channels wide_rows wide_cols"]:
+    """Standardised values, without an axis for a single channel: programs of two axes run in two thirds of the time."""
+    several = standardised(channels(values), known)
+    return several[0] if len(several) == 1 else several
+
+
+def means(values: Blocks, count: Scalar) -> Float[Array, "*channels 1 1"]:
     """Sums of the channels over a count."""
-    return jnp.sum(values, axis=(1, 2), keepdims=True) / count
+    return jnp.sum(values, axis=(-2, -1), keepdims=True) / count
 
 
-def offsets(count: int, weight: Float[Array, "1 rows cols"]) -> Float[Array, "channels channels rows cols"]:
+def offsets(weight: Cells, like: Blocks) -> list[Blocks]:
     """Derivatives of the values of the channels by an offset of each."""
-    return jnp.eye(count)[:, :, None, None] * weight[None]
+    if like.ndim == 2:
+        return [weight]
+    return list(jnp.eye(len(like))[:, :, None, None] * weight)
 
 
 def rows_of(*derivatives: Blocks) -> Float[Array, "unknowns values"]:
@@ -139,9 +147,9 @@ def is_found(
 def spread(weights: Float[Array, "2 values"], residual: Blocks, count: Scalar) -> Float[Array, "2 2"]:
     """Covariance of weights @ residuals, for stationary residuals with their empirical auto- and cross-covariances:
     the mean square of that product over all displacements of the residuals against the weights."""
-    many, rows, cols = residual.shape
-    R = jnp.fft.fft2(residual)
-    Y = jnp.fft.fft2(weights.reshape(2, many, rows, cols))
+    rows, cols = residual.shape[-2:]
+    R = jnp.fft.fft2(residual.reshape(-1, rows, cols))
+    Y = jnp.fft.fft2(weights.reshape(2, *R.shape))
     both = jnp.sum(jnp.conj(Y) * R[None], axis=1).reshape(2, -1) / jnp.sqrt(jnp.maximum(count - 4.0, 1.0))
     return jnp.real(both @ jnp.conj(both).T) / (rows * cols)
 
@@ -159,8 +167,8 @@ def spread_of_channels(
     `uneven` is the ratio of the variance to that of evenly distributed noise: the noise of orientations is largest
     where they change most, which the residuals of one block do not show.
     """
-    count, root = jnp.maximum(jnp.sum(weight), 1e-6), jnp.sqrt(weight)[None]
-    T, S = (root * (x - means(weight[None] * x, count)) for x in (fixed.value, moved.value))
+    count, root = jnp.maximum(jnp.sum(weight), 1e-6), jnp.sqrt(weight)
+    T, S = (root * (x - means(weight * x, count)) for x in (fixed.value, moved.value))
     power_T, power_S, both = jnp.sum(T**2), jnp.sum(S**2), jnp.sum(T * S)
     ratio = power_T / jnp.where(power_S > 0.0, power_S, 1.0)
     gain = jnp.sqrt(jnp.where(ratio > 0.0, ratio, 1.0))
@@ -176,7 +184,7 @@ def inverse(normal: Float[Array, "m m"]) -> Float[Array, "m m"]:
     return jnp.linalg.inv(normal * scale[:, None] * scale[None, :]) * scale[:, None] * scale[None, :]
 
 
-def smooth(values: Float[Array, "channels wide_rows wide_cols"], d: Float[Array, "2"]) -> Smooth:
+def smooth(values: Wider, d: Float[Array, "2"]) -> Smooth:
     """Smoothed values and their derivatives (by row, by col) at the block's cells shifted by `d`."""
     (down, slope_down), (across, slope_across) = _gaussian(d[0]), _gaussian(d[1])
     rows = _weighted(values, down, -2)

@@ -10,7 +10,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo._compile import batch_filter_jit
 from jaxgeo._typing import Flag, Index, Scalar
-from jaxgeo.register.correlation import channels, standardised
 from jaxgeo.register.refinement import (
     FURTHEST,
     Blocks,
@@ -24,6 +23,7 @@ from jaxgeo.register.refinement import (
     is_found,
     means,
     offsets,
+    one_or_more,
     rows_of,
     smooth,
     spread,
@@ -60,8 +60,8 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
     """
     known = all_known(known_T) & all_known(known_S)
     mask = known.astype(float)
-    S = standardised(channels(S), known_S)
-    fixed = smooth(standardised(channels(T), known_T), jnp.zeros(2))
+    S, T = one_or_more(S, known_S), one_or_more(T, known_T)
+    fixed = smooth(T, jnp.zeros(2))
 
     def goes_on(state: _State) -> Flag:
         _, _, last, steps = state
@@ -81,10 +81,10 @@ def refine_robustly(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider
     d, weight, last, _ = jax.lax.while_loop(goes_on, step, (start, first, jnp.asarray(jnp.inf), jnp.asarray(0)))
     moved, count = smooth(S, d), jnp.sum(weight)
     _, by_residual, residual, inverted = _solved(fixed, moved, weight, mask)
-    if len(S) == 1:
+    if S.ndim == 2:
         root = jnp.sqrt(weight)
-        by_residual = by_residual.reshape(2, *residual.shape) / jnp.where(root > 0.0, root, 1.0)[None, None]
-        covariance = spread(by_residual.reshape(2, -1), root[None] * residual, count)
+        by_residual = by_residual / jnp.where(root > 0.0, root, 1.0).reshape(1, -1)
+        covariance = spread(by_residual, root * residual, count)
     else:
         covariance = spread_of_channels(inverted, fixed, moved, weight, UNEVEN)
     enough = jnp.sum(weight > 0.0) >= LEAST_SHARE * jnp.sum(mask)
@@ -105,14 +105,13 @@ def refine_all_robustly(
 
 def _scale(residual: Blocks, mask: Cells) -> Scalar:
     """Standard deviation of most residuals."""
-    some = jnp.where(mask[None] > 0.0, jnp.abs(residual), jnp.nan)[:, ::2, ::2]  # neighbours are smoothed alike
+    some = jnp.where(mask > 0.0, jnp.abs(residual), jnp.nan)[..., ::2, ::2]  # neighbours are smoothed alike
     return jnp.maximum(jnp.nan_to_num(jnp.nanmedian(some), nan=jnp.inf) / MEDIAN, LEAST_SCALE)
 
 
 def _weights(residual: Blocks, mask: Cells) -> Cells:
-    squares = (
-        jax.lax.reduce_window(mask * jnp.mean(residual**2, axis=0), 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
-    )
+    square = residual**2 if residual.ndim == 2 else jnp.mean(residual**2, axis=0)
+    squares = jax.lax.reduce_window(mask * square, 0.0, jax.lax.add, (3, 3), (1, 1), "SAME") / 9.0
     near = jax.lax.reduce_window(squares, 0.0, jax.lax.max, (NEAR, NEAR), (1, 1), "SAME")
     return mask * jnp.maximum(1.0 - near / (CUT * _scale(residual, mask)) ** 2, 0.0) ** 2
 
@@ -122,21 +121,21 @@ def _solved(
 ) -> tuple[Float[Array, "2"], Float[Array, "2 values"], Blocks, Float[Array, "2 2"]]:
     """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain, inverse
     of the shift's normal matrix)."""
-    count, by_cell = jnp.maximum(jnp.sum(weight), 1e-6), weight[None]
-    mean_T, mean_S = (means(by_cell * x, count) for x in (fixed.value, moved.value))
+    count = jnp.maximum(jnp.sum(weight), 1e-6)
+    mean_T, mean_S = (means(weight * x, count) for x in (fixed.value, moved.value))
     centred_T, centred_S = fixed.value - mean_T, moved.value - mean_S
-    power = jnp.sum(by_cell * centred_S**2)
-    gain = jnp.sum(by_cell * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
+    power = jnp.sum(weight * centred_S**2)
+    gain = jnp.sum(weight * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
     rows, cols = jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, side) for side in weight.shape), indexing="ij")
-    of_channels = offsets(len(centred_S), jnp.ones_like(by_cell))
+    of_channels = offsets(jnp.ones_like(weight), like=centred_S)
 
     def columns(seen: Smooth, times: Scalar | float) -> Float[Array, "unknowns values"]:
         slopes = [times * seen.down, times * seen.across]
-        strained = [slope * place[None] for slope in slopes for place in (rows, cols)]
+        strained = [slope * place for slope in slopes for place in (rows, cols)]
         return rows_of(*slopes, *strained, centred_S, *of_channels)
 
     X, residual = columns(moved, gain), centred_T - gain * centred_S
-    Z = columns(fixed, 1.0) * jnp.broadcast_to(by_cell, centred_S.shape).reshape(1, -1)
+    Z = columns(fixed, 1.0) * jnp.broadcast_to(weight, centred_S.shape).reshape(1, -1)
     prior = (_scale(residual, mask) / LARGEST_STRAIN) ** 2
     inverted = inverse(Z @ X.T + jnp.diag(jnp.zeros(len(X)).at[2:6].set(prior)))
     by_residual = inverted @ Z
