@@ -102,21 +102,26 @@ def _equations(
     fixed: Smooth, moved: Smooth, mask: Cells
 ) -> tuple[Float[Array, "unknowns unknowns"], Float[Array, "unknowns values"], Blocks]:
     """(Z'X, Z, residuals) of shift, gain and offsets at a shift, with the optimal gain there."""
-    count = jnp.maximum(jnp.sum(mask), 1.0)
-    mean_T, mean_S = (means(mask * x, count) for x in (fixed.value, moved.value))
-    centred_T, centred_S = mask * (fixed.value - mean_T), mask * (moved.value - mean_S)
+    count, weight = jnp.maximum(jnp.sum(mask), 1.0), over_channels(mask, fixed.value)
+    mean_T, mean_S = (means(weight * x, count) for x in (fixed.value, moved.value))
+    centred_T, centred_S = weight * (fixed.value - mean_T), weight * (moved.value - mean_S)
     power = jnp.sum(centred_S**2)
     gain = jnp.sum(centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
     others = [centred_S, *offsets(mask, like=centred_S)]
-    Z = rows_of(mask * fixed.down, mask * fixed.across, *others)
-    X = rows_of(gain * mask * moved.down, gain * mask * moved.across, *others)
+    Z = rows_of(weight * fixed.down, weight * fixed.across, *others)
+    X = rows_of(gain * weight * moved.down, gain * weight * moved.across, *others)
     return Z @ X.T, Z, centred_T - gain * centred_S
 
 
-def one_or_more(values: Wider, known: KnownWider) -> Float[Array, "*channels wide_rows wide_cols"]:
+def one_or_more(values: Wider, known: KnownWider) -> Float[Array, "*one_or_more wide_rows wide_cols"]:
     """Standardised values, without an axis for a single channel: programs of two axes run in two thirds of the time."""
     several = standardised(channels(values), known)
     return several[0] if len(several) == 1 else several
+
+
+def over_channels(cells: Cells, values: Blocks) -> Float[Array, "*one rows cols"]:
+    """`cells` with an axis for the channels of `values`, if these have one."""
+    return cells if values.ndim == 2 else cells[None]
 
 
 def means(values: Blocks, count: Scalar) -> Float[Array, "*channels 1 1"]:
@@ -128,7 +133,7 @@ def offsets(weight: Cells, like: Blocks) -> list[Blocks]:
     """Derivatives of the values of the channels by an offset of each."""
     if like.ndim == 2:
         return [weight]
-    return list(jnp.eye(len(like))[:, :, None, None] * weight)
+    return list(jnp.eye(len(like))[:, :, None, None] * weight[None, None])
 
 
 def rows_of(*derivatives: Blocks) -> Float[Array, "unknowns values"]:
@@ -167,7 +172,8 @@ def spread_of_channels(
     `uneven` is the ratio of the variance to that of evenly distributed noise: the noise of orientations is largest
     where they change most, which the residuals of one block do not show.
     """
-    count, root = jnp.maximum(jnp.sum(weight), 1e-6), jnp.sqrt(weight)
+    count, weight = jnp.maximum(jnp.sum(weight), 1e-6), over_channels(weight, fixed.value)
+    root = jnp.sqrt(weight)
     T, S = (root * (x - means(weight * x, count)) for x in (fixed.value, moved.value))
     power_T, power_S, both = jnp.sum(T**2), jnp.sum(S**2), jnp.sum(T * S)
     ratio = power_T / jnp.where(power_S > 0.0, power_S, 1.0)

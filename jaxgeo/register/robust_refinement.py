@@ -24,6 +24,7 @@ from jaxgeo.register.refinement import (
     means,
     offsets,
     one_or_more,
+    over_channels,
     rows_of,
     smooth,
     spread,
@@ -105,7 +106,9 @@ def refine_all_robustly(
 
 def _scale(residual: Blocks, mask: Cells) -> Scalar:
     """Standard deviation of most residuals."""
-    some = jnp.where(mask > 0.0, jnp.abs(residual), jnp.nan)[..., ::2, ::2]  # neighbours are smoothed alike
+    some = jnp.where(over_channels(mask, residual) > 0.0, jnp.abs(residual), jnp.nan)[
+        ..., ::2, ::2
+    ]  # neighbours are smoothed alike
     return jnp.maximum(jnp.nan_to_num(jnp.nanmedian(some), nan=jnp.inf) / MEDIAN, LEAST_SCALE)
 
 
@@ -121,21 +124,22 @@ def _solved(
 ) -> tuple[Float[Array, "2"], Float[Array, "2 values"], Blocks, Float[Array, "2 2"]]:
     """(change of the shift, its derivatives by the residuals, residuals with the optimal deformation and gain, inverse
     of the shift's normal matrix)."""
-    count = jnp.maximum(jnp.sum(weight), 1e-6)
-    mean_T, mean_S = (means(weight * x, count) for x in (fixed.value, moved.value))
+    count, by_cell = jnp.maximum(jnp.sum(weight), 1e-6), over_channels(weight, fixed.value)
+    mean_T, mean_S = (means(by_cell * x, count) for x in (fixed.value, moved.value))
     centred_T, centred_S = fixed.value - mean_T, moved.value - mean_S
-    power = jnp.sum(weight * centred_S**2)
-    gain = jnp.sum(weight * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
+    power = jnp.sum(by_cell * centred_S**2)
+    gain = jnp.sum(by_cell * centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
     rows, cols = jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, side) for side in weight.shape), indexing="ij")
+    places = [over_channels(place, fixed.value) for place in (rows, cols)]
     of_channels = offsets(jnp.ones_like(weight), like=centred_S)
 
     def columns(seen: Smooth, times: Scalar | float) -> Float[Array, "unknowns values"]:
         slopes = [times * seen.down, times * seen.across]
-        strained = [slope * place for slope in slopes for place in (rows, cols)]
+        strained = [slope * place for slope in slopes for place in places]
         return rows_of(*slopes, *strained, centred_S, *of_channels)
 
     X, residual = columns(moved, gain), centred_T - gain * centred_S
-    Z = columns(fixed, 1.0) * jnp.broadcast_to(weight, centred_S.shape).reshape(1, -1)
+    Z = columns(fixed, 1.0) * jnp.broadcast_to(by_cell, centred_S.shape).reshape(1, -1)
     prior = (_scale(residual, mask) / LARGEST_STRAIN) ** 2
     inverted = inverse(Z @ X.T + jnp.diag(jnp.zeros(len(X)).at[2:6].set(prior)))
     by_residual = inverted @ Z
