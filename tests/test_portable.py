@@ -35,7 +35,7 @@ from jaxgeo.io import (
     read_acquisitions,
 )
 from jaxgeo.ortho import Rectifier
-from jaxgeo.ties import KeptMatches, Pictures, RecursiveCorrection
+from jaxgeo.ties import AbstractFeatures, ImageKeypoints, KeptMatches, Pictures, RecursiveCorrection
 from jaxgeo.view import ViewServer
 from tests.support import looks
 from tests.support.drone_image_files import packet, write_image
@@ -102,12 +102,14 @@ def filled(cls: type) -> Any:
 
 SPECIAL = {DemCache, DemFiles, OrthoWriter, Rectifier, RecursiveCorrection}  # which have tests of their own
 OF_A_PROCESS = {
+    AbstractFeatures,
+    ImageKeypoints,
     KeptMatches,
     Making,
     Picture,
     Pictures,
     ViewServer,
-}  # hold functions, threads, a figure, a reader, a socket
+}  # hold functions, threads, a figure, a reader, a socket, or anything (a class of the user's)
 
 
 def test_what_public_functions_give_loses_no_digit() -> None:

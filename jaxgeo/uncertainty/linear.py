@@ -141,7 +141,7 @@ def propagate(
     ...
     >>> found = jaxgeo.propagate(*scene)
     >>> print(f"CE90 {found.circular_error(0.9):.2f} m, LE90 {found.linear_error(0.9):.2f} m")
-    CE90 11.52 m, LE90 3.29 m
+    CE90 11.60 m, LE90 3.29 m
     """
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     nominal, model = inputs.nominal_fix(search), checked_model(errors, inputs)

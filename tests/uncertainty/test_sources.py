@@ -164,3 +164,35 @@ def test_published_tables() -> None:
     assert {presets.pos_av_310(name).size for name in presets.POS_AV_310} == {9}
     with pytest.raises(ValueError, match="must be one of SPS, RTX"):
         presets.pos_av_310("GPS")
+
+
+@pytest.mark.parametrize("pitch", [-90.0, -89.0, -60.0, -30.0])
+def test_a_level_gimbal_errs_across_the_flight_too(pitch: float) -> None:
+    """Against finite differences of yaw, roll, pitch as the arms of such a gimbal are joined; straight down too."""
+    gimbal, sigma = Gimbal.three_axis(), np.deg2rad([1.0, 0.5, 0.7])
+    sensor = jaxgeo.Sensor(looks.sensor().camera, gimbal, jaxgeo.Mount.forward())
+    height, yaw = 100.0, 0.6
+    pose = jaxgeo.Pose.from_degrees(lat=45.0, lon=7.0, height=height)
+    shot = jaxgeo.Shot(pose, gimbal.readings_from_degrees(yaw=math.degrees(yaw), pitch=pitch, roll=0.0))
+    model = ErrorModel((sources.GimbalAngles(jnp.asarray(sigma), gimbal_axes=gimbal.names),))
+    found = propagate(sensor, shot, sensor.camera.principal_px, ConstantHeight(0.0), model)
+
+    def place(error: np.ndarray) -> np.ndarray:
+        """(east, north) in m of the optical axis on level ground."""
+        turns = zip("zxy", (yaw + error[0], error[2], math.radians(pitch) + error[1]), strict=True)
+        north, east, down = np.linalg.multi_dot([turn(axis, angle) for axis, angle in turns])[:, 0]
+        return height * np.array([east, north]) / down
+
+    step = 1e-5
+    by_error = np.stack([(place(step * e) - place(-step * e)) / (2.0 * step) for e in np.eye(3)], axis=1)
+    expected = by_error @ np.diag(sigma**2) @ by_error.T
+    np.testing.assert_allclose(np.asarray(found.cov_enu)[:2, :2], expected, atol=1e-3 * np.trace(expected))
+
+
+def turn(axis: str, angle: float) -> np.ndarray:
+    """Rotation matrix about an axis by an angle in rad."""
+    k = "xyz".index(axis)
+    i, j = (k + 1) % 3, (k + 2) % 3
+    R = np.eye(3)
+    R[[i, j], [i, j]], R[i, j], R[j, i] = math.cos(angle), -math.sin(angle), math.sin(angle)
+    return R

@@ -8,11 +8,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from jaxgeo._numerics import matmul3
+from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import Gimbal
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerImage
 from jaxgeo.uncertainty.sources.base import AbstractSource, Axis, Correlation, Error, Sigma, stated
 
+YAW_PITCH_ROLL = ("z", "y", "x")
 AxesT = TypeVar("AxesT", bound="_OfGimbalAxes")
 
 
@@ -54,7 +57,12 @@ class _OfGimbalAxes(AbstractSource):
 
 
 class GimbalAngles(_OfGimbalAxes):
-    """Errors of the gimbal readings, rad, in the order of its axes."""
+    """Errors of the gimbal readings, rad, in the order of its axes.
+
+    Of a gimbal relative to level with the axes yaw, pitch, roll, as of drones, the error of the roll is that of the
+    level: a tilt about the horizontal direction of the yaw. Straight down, roll and yaw turn about the same vertical,
+    and an error of the roll reading would tilt nothing. (Of a `Trajectory` it is that of the reading.)
+    """
 
     sigma: Sigma
     correlation: Correlation = None
@@ -63,8 +71,25 @@ class GimbalAngles(_OfGimbalAxes):
 
     def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         readings = jnp.asarray(inputs.motion.gimbal_readings)
+        gimbal = inputs.sensor.gimbal
+        if readings.ndim == 1 and gimbal.reference == "level" and gimbal.axes == YAW_PITCH_ROLL:
+            inputs = _tilted(inputs, readings, error[2])
+            error = error.at[2].set(0.0)
         readings = readings + (error if readings.ndim == 1 else error[None, :])
         return eqx.tree_at(lambda inputs: inputs.motion.gimbal_readings, inputs, readings)
+
+
+def _tilted(inputs: ModelInputs, readings: Any, tilt: Any) -> ModelInputs:
+    """Inputs with the level tilted by an angle in rad about the horizontal direction of the yaw.
+
+    Applied as a turn of the camera in the head, without the singularity of the angles straight down.
+    """
+    angles = inputs.sensor.gimbal.angles(readings)
+    ahead_head = inputs.sensor.gimbal.R_base_from_head(readings).T @ jnp.stack(
+        [jnp.cos(angles[0]), jnp.sin(angles[0]), jnp.zeros(())]
+    )
+    R = matmul3(R_from_rotation_vector(tilt * ahead_head), jnp.asarray(inputs.sensor.mount.R_head_from_camera))
+    return eqx.tree_at(lambda inputs: inputs.sensor.mount.R_head_from_camera, inputs, R)
 
 
 class GimbalMounting(_OfGimbalAxes):
