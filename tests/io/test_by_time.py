@@ -79,7 +79,10 @@ def test_the_nearest_record_is_taken_over_gaps_and_sharp_turns(srt) -> None:
     path = srt(video())
     found = read_acquisition(path, height_datum=0.0, times=["3.75", "8.0"])
     np.testing.assert_allclose(numbers(found), [[36.6, 900.0, 61.0, 3.75], [36.7, 900.0, 62.0, 8.0]], atol=1e-6)
-    for words in ("at 3.75 is that of the nearest record, 3, 0.25 s", "at 8.0 is that of the nearest record, 4, 1 s"):
+    for words in (
+        "at 3.75 is that of the nearest record, 3, 0.25 s away: between its neighbours an angle turns by 60 deg, more",
+        "at 8.0 is that of the nearest record, 4, 1 s away: its neighbours are 5 s apart, more than 2 s.",
+    ):
         assert any(words in one for one in found.assumed)
 
 
@@ -96,6 +99,23 @@ def test_a_time_outside_the_file_is_refused_with_its_range(srt) -> None:
         with pytest.raises(TableError, match=words) as refusal:
             read_acquisition(path, height_datum=0.0, times=[time])
         assert "\n" not in str(refusal.value)
+
+
+def test_poses_are_interpolated_where_the_zoom_changes(tmp_path: pathlib.Path) -> None:
+    """Telemetry has the field of view in steps; the focal length is that of the nearest record."""
+    packets = tmp_path / "video.klv"
+    sets = (
+        usual(tag_75=1000.0 + 10.0 * k, tag_16=20.0 + 0.01 * k) | {2: struct.pack(">Q", TIME_US + 1_000_000 * k)}
+        for k in range(2)
+    )
+    packets.write_bytes(b"".join(map(local_set, sets)))
+    whole = read_acquisition(packets)
+    found = read_acquisition(packets, times=["0.25", "0.75"])
+    ends = np.asarray(whole.shots.pose.position.height)
+    np.testing.assert_allclose(found.shots.pose.position.height, ends[0] + np.array([0.25, 0.75]) * np.ptp(ends))
+    focal = [np.asarray(one.sensor.camera.focal_px) for one in (whole, found)]
+    assert not np.array_equal(focal[0][0], focal[0][1])
+    np.testing.assert_array_equal(focal[1], focal[0])
 
 
 def test_logs_and_telemetry_take_times_in_utc_too(tmp_path: pathlib.Path) -> None:

@@ -46,8 +46,8 @@ def at_times(found: Acquisition, times: Times) -> Acquisition:
     """Exposures at `times`, in one of `FORMS`, named by them: HH:MM:SS after the start, or as a UTC time.
 
     Position and angles are interpolated linearly between the two records around a time, if these are at most 2 s
-    apart, of one camera, and turned by less than 20 deg; else they are those of the nearest record. All else is the
-    nearest record's. Sentences say which. Raises `TableError` for records without times, a time outside their range,
+    apart, of cameras mounted alike, and turned by less than 20 deg; else they are those of the nearest record. All
+    else, such as the focal length, is the nearest record's. Sentences say which, and why. Raises `TableError` for records without times, a time outside their range,
     and a text that is no time.
     """
     clock = np.asarray(found.shots.time, np.float64)
@@ -70,11 +70,12 @@ def at_times(found: Acquisition, times: Times) -> Acquisition:
             each.append(found.exposure(near)[1])
             continue
         share = (at - clock[pair[0]]) / apart if apart > 0.0 else 0.0
-        between = _between(one[1], other[1], share) if apart <= LONGEST and _are_one_camera(one[0], other[0]) else None
-        if between is None:
+        between = _between(one[:2], other[:2], float(share), apart)
+        if isinstance(between, str):
             away = abs(float(clock[near] - at))
             notes.append(
-                f"The exposure at {written} is that of the nearest record, {found.names[near]}, {away:.3g} s away."
+                f"The exposure at {written} is that of the nearest record, {found.names[near]}, {away:.3g} s away: "
+                f"{between}."
             )
             each.append(_at(found.exposure(near)[1], at))
         else:
@@ -133,12 +134,18 @@ def _check_inside(found: Acquisition, written: str | float, at: float, clock: np
         )
 
 
-def _between(one: Shot, other: Shot, share: float) -> Shot | None:
-    """A shot between two; None if one of their angles turns too far."""
+def _between(before: tuple[Any, Shot], after: tuple[Any, Shot], share: float, apart: float) -> Shot | str:
+    """A shot between two of (sensor, shot), `apart` seconds from each other; or why there is none."""
+    (sensor, one), (sensor_after, other) = before, after
+    if apart > LONGEST:
+        return f"its neighbours are {apart:.3g} s apart, more than {LONGEST:g} s"
+    if not _are_mounted_alike(sensor, sensor_after):
+        return "its neighbours are of cameras that are not mounted alike"
     angles = [np.array([*_angles(shot), *np.atleast_1d(shot.gimbal_readings)], np.float64) for shot in (one, other)]
     turn = (angles[1] - angles[0] + np.pi) % (2.0 * np.pi) - np.pi
     if np.any(np.abs(turn) > LARGEST_TURN):
-        return None
+        most, limit = (math.degrees(float(angle)) for angle in (np.max(np.abs(turn)), LARGEST_TURN))
+        return f"between its neighbours an angle turns by {most:.3g} deg, more than {limit:.0f}"
     heading, pitch, roll, *readings = angles[0] + share * turn
     lat, height = (float(a + share * (b - a)) for a, b in zip(_place(one), _place(other), strict=True))
     east = (float(other.pose.position.lon) - float(one.pose.position.lon) + np.pi) % (2.0 * np.pi) - np.pi
@@ -159,8 +166,12 @@ def _at(shot: Shot, time: float) -> Shot:
     return dataclasses.replace(shot, time=np.float64(time))
 
 
-def _are_one_camera(one: Any, other: Any) -> bool:
-    return all(np.array_equal(*pair) for pair in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True))
+def _are_mounted_alike(one: Any, other: Any) -> bool:
+    """Whether two sensors have one mount and gimbal; focal lengths change with the zoom, and by steps of telemetry."""
+    if one is None or other is None:
+        return one is other
+    pairs = zip(*(jax.tree.leaves((sensor.gimbal, sensor.mount)) for sensor in (one, other)), strict=True)
+    return all(np.array_equal(*pair) for pair in pairs)
 
 
 def _reported(reported: Reported, rows: np.ndarray) -> Reported:
