@@ -223,6 +223,20 @@ def test_a_scene_needs_the_height_of_the_take_off(here: pathlib.Path, zero: str)
         assert 'height_datum = "ellipsoid"' in (here / "s.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("command", ["plan", "register"])
+def test_plans_and_registered_scenes_need_the_height_of_the_take_off(here: pathlib.Path, command: str) -> None:
+    """They are refused before anything is planned or matched, and nothing is written."""
+    line = f"{command} {LINES[command]}"
+    prepare(here, line)
+    if command == "plan":
+        log(here, ("31.000", "33.000", "35.000"), (0, 1, 2))
+    before = {*here.iterdir()}
+    refused = run(line.replace("--takeoff-height dem", "--takeoff-height 0"))
+    assert refused.exit_code == 2, refused.output
+    assert "--takeoff-height 0: heights are then above the take-off" in " ".join(refused.stderr.split())
+    assert {*here.iterdir()} == before
+
+
 def test_a_take_off_on_the_elevation_model_at_sea_level_has_a_known_height() -> None:
     assert ReadingOptions(takeoff_height="0").is_above_takeoff
     assert not KnownHeights(takeoff_height="0.000", takeoff_sigma=1.0).is_above_takeoff
