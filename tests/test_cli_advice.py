@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from support.command_runner import CliRunner
-from support.drone_image_files import CAMERA, PLACE, packet, write_image
+from support.drone_image_files import CAMERA, FULL, PLACE, packet, write_image
 
 from jaxgeo.cli import app
 from jaxgeo.cli._option_names import as_typed
@@ -117,6 +117,28 @@ def test_every_way_out_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatc
         value = ["300"] if way == "--takeoff-height" else []
         result = run("a.jpg", *others, *shlex.split(way), *value)
         assert result.exit_code == 0, (way, result.stderr)
+
+
+@pytest.mark.parametrize(
+    "lens, length",
+    [("focal=120mm,pitch=0.144mm", 120.0 / 0.144), ("focal=12cm,pitch=144um", 120.0 / 0.144), ("film=3.6cm", None)],
+)
+def test_a_length_in_another_unit_is_proposed_in_the_right_one(tmp_path: pathlib.Path, lens: str, length) -> None:
+    """The proposal, typed in its place, is the camera that was meant."""
+    path = write_image(tmp_path / "a.jpg", packet(DJI), make="DJI")
+    refused = run(f"{path}", *DATUMS[0].split(), "--camera", lens)
+    assert refused.exit_code == 2, refused.output
+    (meant,) = re.findall(r"\((\w+=[0-9.]+[a-z]+)\?\)", refused.stderr)
+    name = meant.partition("=")[0]
+    typed = ",".join(meant if part.startswith(f"{name}=") else part for part in lens.split(","))
+    result = run(f"{path}", *DATUMS[0].split(), "--camera", typed, "--json")
+    assert result.exit_code == 0, result.output
+    sensor = json.loads(result.stdout)["sensor"]
+    diagonal = (sensor["width"] ** 2 + sensor["height"] ** 2) ** 0.5
+    expected = (
+        36.0 / (36.0**2 + 24.0**2) ** 0.5 * diagonal if length is None else length * sensor["width"] / FULL[0]
+    )  # resized
+    assert sensor["focal_px"] == pytest.approx([expected, expected])
 
 
 RTK = DJI | {"drone-dji:RtkFlag": "50", "drone-dji:AbsoluteAltitude": "+700.0", "drone-dji:RelativeAltitude": "+99.9"}

@@ -550,7 +550,7 @@ def test_a_camera_without_a_field(tmp_path: pathlib.Path) -> None:
     """No pixels, or pixels of no size, are no field of view."""
     for old, new, least in (
         ("width = 2400", "width = 0", "greater than 0"),
-        ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0", "at least 0.1 um"),
+        ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0", "at least 0.5 um"),
     ):
         scene = scene_with(tmp_path, old, new)
         result = run("footprint", "--scene", scene, "--dem", DEM)

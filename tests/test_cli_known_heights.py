@@ -18,7 +18,7 @@ from test_cli_flights import CAMERA, log
 
 import jaxgeo
 from jaxgeo.cli import app
-from jaxgeo.cli._acquisitions import ReadingOptions
+from jaxgeo.cli._acquisitions import KnownHeights, ReadingOptions
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._known_heights import with_known_heights
@@ -205,6 +205,71 @@ def test_level_ground_far_from_what_the_files_report_is_doubtful(line: str, word
         ):
             assert "check: The take-off" not in run(line.replace(left_out, way)).stderr
         assert "Give" in one or "take-off" in words
+
+
+@pytest.mark.parametrize("zero", ["0", "0.0", "-0"])
+def test_a_scene_needs_the_height_of_the_take_off(here: pathlib.Path, zero: str) -> None:
+    """It has heights above a datum only; every way that the message names gives one."""
+    prepare(here, "locate DJI_0042.JPG")
+    refused = run(f"scene DJI_0042.JPG --takeoff-height {zero} -o s.toml")
+    assert refused.exit_code == 2, refused.output
+    said = " ".join(refused.stderr.split())
+    assert f"--takeoff-height {zero}: heights are then above the take-off" in said
+    assert not (here / "s.toml").exists()
+    prepare(here, "scene DJI_0042.JPG --dem dem.tif")
+    for way in (f"{zero} --camera-datum ellipsoid", "12.5", "dem --dem dem.tif"):
+        found = run(f"scene DJI_0042.JPG --takeoff-height {way} -o s.toml")
+        assert found.exit_code == 0, found.output
+        assert 'height_datum = "ellipsoid"' in (here / "s.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", ["plan", "register"])
+def test_plans_and_registered_scenes_need_the_height_of_the_take_off(here: pathlib.Path, command: str) -> None:
+    """They are refused before anything is planned or matched, and nothing is written."""
+    line = f"{command} {LINES[command]}"
+    prepare(here, line)
+    if command == "plan":
+        log(here, ("31.000", "33.000", "35.000"), (0, 1, 2))
+    before = {*here.iterdir()}
+    refused = run(line.replace("--takeoff-height dem", "--takeoff-height 0"))
+    assert refused.exit_code == 2, refused.output
+    assert "--takeoff-height 0: heights are then above the take-off" in " ".join(refused.stderr.split())
+    assert {*here.iterdir()} == before
+
+
+def test_a_take_off_on_the_elevation_model_at_sea_level_has_a_known_height() -> None:
+    assert ReadingOptions(takeoff_height="0").is_above_takeoff
+    assert not KnownHeights(takeoff_height="0.000", takeoff_sigma=1.0).is_above_takeoff
+
+
+def test_tables_name_heights_above_the_take_off_and_their_readers_refuse_them(here: pathlib.Path) -> None:
+    """As exposures, as orientations and as shots of a scene; with the height of the take-off added they are read."""
+    prepare(here, "locate DJI_0042.JPG")
+    assert run("inspect DJI_0042.JPG --takeoff-height 0 -o shots.csv").exit_code == 0
+    (row,) = json.loads(run("inspect DJI_0042.JPG --takeoff-height 0 --json").stdout)["exposures"]
+    (known,) = json.loads(run("inspect DJI_0042.JPG --takeoff-height 250 --json").stdout)["exposures"]
+    assert "height_m" not in row
+    assert known["height_m"] - row["height_above_takeoff_m"] == pytest.approx(250.0)
+    assert run("scene DJI_0042.JPG --takeoff-height 250 -o s.toml").exit_code == 0
+    text = (here / "shots.csv").read_text(encoding="utf-8")
+    for line in (
+        "locate --scene s.toml --shots shots.csv --ground 0",
+        "inspect shots.csv",
+        "locate shots.csv --ground 0",
+    ):
+        refused = run(line)
+        assert refused.exit_code == 2, refused.output
+        said = " ".join(refused.stderr.split())
+        assert "Its heights are in height_above_takeoff_m, above no datum: add the height of the take-off" in said
+    header, cells = text.splitlines()
+    columns = dict(zip(header.split(","), cells.split(","), strict=True))
+    columns["height_m"] = f"{float(columns.pop('height_above_takeoff_m')) + 250.0}"
+    (here / "shots.csv").write_text(f"{','.join(columns)}\n{','.join(columns.values())}\n", encoding="utf-8")
+    shown = run("locate --scene s.toml --shots shots.csv --ground 0 --no-accuracy --json")
+    direct = run("locate DJI_0042.JPG --takeoff-height 250 --ground 0 --no-accuracy --json")
+    ours, theirs = (json.loads(one.stdout)["fixes"][0] for one in (shown, direct))
+    for name in ("fix_lat_deg", "fix_lon_deg"):
+        assert ours[name] == pytest.approx(theirs[name], abs=1e-8)  # deg: 1 mm
 
 
 @pytest.mark.costly

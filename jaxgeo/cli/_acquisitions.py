@@ -178,6 +178,10 @@ class KnownHeights(ReadingOptions):
     takeoff_sigma: float = 0.0
 
     @property
+    def is_above_takeoff(self) -> bool:
+        return False  # the height of the take-off is known, also where it is 0 m
+
+    @property
     def arguments(self) -> dict[str, Any]:
         return super().arguments | {"takeoff_sigma": self.takeoff_sigma}
 

@@ -151,6 +151,17 @@ def relative_heights(reading: ReadingOptions, ground: GroundOptions | None = Non
     ]
 
 
+def refuse_relative_heights(reading: ReadingOptions, what: str) -> None:
+    """Raise `UserError` if the take-off is the level of reference, for a result whose heights are above a datum."""
+    if reading.is_above_takeoff:
+        raise UserError(
+            f"--takeoff-height {reading.takeoff_height}: heights are then above the take-off, and above no datum, but "
+            f"those of {what} are above one. Give the height of the take-off above the WGS 84 ellipsoid, or above a "
+            f"datum with --camera-datum too (of 0 m above the ellipsoid, --camera-datum ellipsoid); or "
+            f"--takeoff-height {TAKEOFF_ON_DEM} with --dem."
+        )
+
+
 def _refuse_both(
     reading: ReadingOptions, files: list[pathlib.Path], scene: pathlib.Path | None, dem: list[str], of_dem: DemOptions
 ) -> None:

@@ -73,6 +73,8 @@ def inspect_command(
         found, unstated = _read(files, of_takeoff.known(reading, files).known_arguments)
         found = dataclasses.replace(found, assumed=(*found.assumed, *relative_heights(reading)))
         rows = rows_of(found)
+        if reading.is_above_takeoff:
+            rows = [_above_takeoff(row) for row in rows]
         if output is not None:
             if unstated is not None:
                 raise UserError(as_typed(unstated))
@@ -110,6 +112,13 @@ def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[jaxgeo.io.Acq
         found, _ = _read(files, {**how, "height_datum": "ellipsoid"})
         assumed = tuple(one for one in found.assumed if not one.startswith("Heights are above"))  # not stated
         return dataclasses.replace(found, assumed=assumed), str(error)
+
+
+def _above_takeoff(row: dict[str, Any]) -> dict[str, Any]:
+    """A row whose height is named as one above the take-off, so that no reader takes it as above a datum."""
+    from jaxgeo.io._csv import ABOVE_TAKEOFF
+
+    return {ABOVE_TAKEOFF if name == "height_m" else name: value for name, value in row.items()}
 
 
 def _write(
@@ -237,9 +246,11 @@ def _counted(count: int, noun: str) -> str:
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     """Headers and formats of the printed exposure table."""
+    from jaxgeo.io._csv import ABOVE_TAKEOFF
+
     row, compared = rows[0], any(one.get("centre_lat_deg") is not None for one in rows)
     shown = {"name": ("name", ""), "lat_deg": ("lat, deg", ".7f"), "lon_deg": ("lon, deg", ".7f")}
-    shown |= {"height_m": ("height, m", ".2f")}
+    shown |= {name: ("height, m", ".2f") for name in ("height_m", ABOVE_TAKEOFF) if name in row}
     shown |= {f"{name}_deg": (name, ".2f") for name in ("heading", "pitch", "roll")}
     gimbal = [name for name in row if name.startswith("gimbal_")]
     shown |= {name: (name.removesuffix("_deg").replace("_", " "), ".2f") for name in gimbal}

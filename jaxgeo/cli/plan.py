@@ -16,7 +16,7 @@ from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
 from jaxgeo.cli._flights import FlightOptions
 from jaxgeo.cli._inputs import check_no_overwrite, single, view_of_shots
-from jaxgeo.cli._known_heights import with_known_heights
+from jaxgeo.cli._known_heights import refuse_relative_heights, with_known_heights
 from jaxgeo.cli._level_ground import check_ground, terrain_of, with_ground
 from jaxgeo.cli._locate_options import GroundOptions
 from jaxgeo.cli._options import Along
@@ -149,6 +149,7 @@ def _plan(
     start, along = course
     how = with_known_heights(how, given.files or [], given.scene, ground.dem or [], ground)
     of_flight = given.flight(how)
+    refuse_relative_heights(how, "a plan")
     sensor, flight = of_flight.sensor, of_flight.trajectory
     _check_count(wishes, flight, start)
     terrain = terrain_of(ground, lambda: flight.at(flight.start), lambda: _view(sensor, flight))

@@ -13,7 +13,7 @@ from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import check_no_overwrite
-from jaxgeo.cli._known_heights import TakeoffOptions, relative_heights
+from jaxgeo.cli._known_heights import TakeoffOptions, refuse_relative_heights
 from jaxgeo.cli._option_names import as_typed
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_note, print_written
@@ -62,7 +62,10 @@ def write_scene_of(
     scene: pathlib.Path | None,
     reading: ReadingOptions,
 ) -> tuple[str, list[str]]:
-    """Write the scene of an exposure; returns (its name, assumptions), which are printed on stderr, too."""
+    """Write the scene of an exposure; returns (its name, assumptions), which are printed on stderr, too.
+
+    Raises `UserError`, also for heights above a take-off of unknown height.
+    """
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import read_observations, write_scene
 
@@ -76,8 +79,8 @@ def write_scene_of(
         raise UserError(f"{file} has {len(names)} exposures: {some}. Name one with --exposure {names[0]}.")
     observation, sources = observed.at(0)
     look = observation.exposure
+    refuse_relative_heights(reading, "a scene")
     assumed = list(map(as_typed, observed.assumed)) + [sentence for _, sentence in observed.assumed_errors]
-    assumed += relative_heights(reading)
     named = file.name if names[0] == file.name else f"{names[0]} of {file.name}"
     comment = "\n".join([named, *(f"assumed: {one}" for one in assumed)])
     assert isinstance(look.motion, Shot)

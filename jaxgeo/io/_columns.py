@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxgeo._text_numbers import number_in
-from jaxgeo.io._csv import CsvTable, Limits, read_csv
+from jaxgeo.io._csv import NO_DATUM, CsvTable, Limits, has_no_datum, read_csv
 from jaxgeo.io.errors import TableError
 
 OUR_UNITS = re.compile(r"\s*[\[(](?:deg|degrees?|°|m|met(?:er|re)s?)[\])]$")  # after a name, in lower case
@@ -51,6 +51,7 @@ class Columns:
             ]
             if any(number_in(cell) is not None for cell in self.table.header):
                 why += " The first row holds numbers: write the names of the columns above it."
+            why += NO_DATUM if has_no_datum(missing, self.table.header) else ""
             raise TableError(
                 f"{self.table.path}: no column {', '.join(others)}; found {', '.join(self.table.header)}.{why}"
             )

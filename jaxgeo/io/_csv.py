@@ -30,6 +30,12 @@ POSE_COLUMNS: dict[str, Limits] = {
     "roll_deg": (-180.0, 180.0, "deg"),
 }
 
+ABOVE_TAKEOFF = "height_above_takeoff_m"  # of a camera, where the height of the take-off is unknown
+NO_DATUM = (
+    f" Its heights are in {ABOVE_TAKEOFF}, above no datum: add the height of the take-off above the WGS 84 ellipsoid, "
+    "and name the column height_m."
+)
+
 # Markers of unknown values: words, and numbers that no column of this package can hold.
 UNKNOWN_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "nil", "unknown", "-", "--", "?"})
 UNKNOWN_NUMBERS = frozenset({-9999.0, -99999.0, -999999.0, -32767.0, -32768.0})
@@ -167,13 +173,19 @@ def _check_header(
     missing = [name for name in needed if name not in header]
     if missing:
         advice = dict.fromkeys(f" {hints[name]}" for name in missing if name in hints)
+        near = NO_DATUM if has_no_datum(missing, header) else _near_names(missing, header, needed)
         raise TableError(
-            f"{path}: no column {', '.join(missing)}.{_near_names(missing, header, needed)}{''.join(advice)} "
+            f"{path}: no column {', '.join(missing)}.{near}{''.join(advice)} "
             f"The columns needed are {', '.join(needed)}; found {', '.join(header) or 'none'}."
         )
     reserved = [name for name in taken if name in header]
     if reserved:
         raise TableError(f"{path}: column {reserved[0]} is one that the answer writes; rename it.")
+
+
+def has_no_datum(missing: Collection[str], header: Collection[str]) -> bool:
+    """Whether a missing column of heights is there as heights above the take-off."""
+    return "height_m" in missing and ABOVE_TAKEOFF in header
 
 
 def _near_names(missing: list[str], header: list[str], needed: Collection[str]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 from jaxgeo.io.errors import TableError
 from jaxgeo.sensor import FrameCamera
+from jaxgeo.sensor.camera import LONGEST, PITCHES
 
 FORMS = (
     'camera="focal=8.8mm,pitch=2.41um" (focal length and pixel size), camera="focal=8.8mm,sensor=13.2mm" (and width of '
@@ -23,6 +24,13 @@ OWN_CAMERA = (
     'camera="film=24mm,size=3840x2160"'
 )  # for files that know no camera
 UNITS = {"focal": ("mm", "px"), "film": ("mm",), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
+IN_MM = {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+RANGES = {  # of lengths in the first unit of each, as those of `FrameCamera.from_metric` and scene files
+    "focal": (0.0, 1e3 * LONGEST),
+    "film": (0.0, 1e3 * LONGEST),
+    "pitch": (1e6 * PITCHES[0], 1e6 * PITCHES[1]),
+    "sensor": (0.0, 1e3 * LONGEST),
+}
 AS_GIVEN = "The camera is taken as given, without error unless sigmas of its interior orientation are given too."
 AS_READ = "Cameras are taken from the file, without error unless sigmas of the interior orientation are given too."
 CLOSE = 0.005  # relative tolerance between the scales of columns and rows of resized images
@@ -61,8 +69,8 @@ def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | 
     """Parse a camera: a lens from text with "=", a camera from a .toml file, Pix4D's .cam or OpenSfM's .json, else a
     name.
 
-    Raises `TableError` for an invalid lens and a file with several cameras, `SceneError` for a file,
-    `FileNotFoundError`.
+    Raises `TableError` for an invalid lens, for lengths out of the ranges of `FrameCamera.from_metric`, and a file with
+    several cameras, `SceneError` for a file, `FileNotFoundError`.
 
     >>> from jaxgeo.io.given_camera import given_camera
     >>> lens = given_camera("focal=8.8mm,pitch=2.41um")
@@ -136,11 +144,34 @@ def _lens(text: str) -> Lens:
 
 def _quantity(text: str, name: str, written: str) -> tuple[float, str]:
     matched = _VALUE.fullmatch(written.lower().replace("µ", "u").replace("μ", "u"))
-    if matched is None or matched[2] not in UNITS[name] or not 0.0 < float(matched[1]) < math.inf:
-        is_of_one = matched is not None and float(matched[1]) > 0.0 and len(UNITS[name]) == 1
-        hint = f" ({name}={matched[1]}{UNITS[name][0]}?)" if matched is not None and is_of_one else ""
-        raise _wrong(text, f"{name}={written.strip()} is not a number above zero in {' or '.join(UNITS[name])}{hint}")
-    return float(matched[1]), matched[2]
+    units = UNITS[name]
+    if matched is None or matched[2] not in units or not 0.0 < float(matched[1]) < math.inf:
+        meant = None if matched is None else _meant(name, float(matched[1]), matched[2])
+        hint = "" if meant is None else f" ({name}={meant}?)"
+        raise _wrong(text, f"{name}={written.strip()} is not a number above zero in {' or '.join(units)}{hint}")
+    value, unit = float(matched[1]), matched[2]
+    if unit == units[0] and not _is_in_range(name, value):
+        low, high = RANGES[name]
+        limits = f"from {low:g} to {high:g}" if low else f"at most {high:g}"
+        raise _wrong(text, f"{name}={written.strip()} is no such length of a camera; expected {limits} {unit}")
+    return value, unit
+
+
+def _meant(name: str, value: float, unit: str) -> str | None:
+    """A length in the expected unit that a value in another unit, or in none, may stand for.
+
+    It is converted, or if that is out of range, with its unit replaced; None if neither is in range.
+    """
+    expected = UNITS[name][0]
+    same = [value] if len(UNITS[name]) == 1 else []
+    converted = [float(f"{value * IN_MM[unit] / IN_MM[expected]:.12g}")] if unit in IN_MM else []
+    fitting = [one for one in (*converted, *same) if _is_in_range(name, one)]
+    return f"{fitting[0]:.12g}{expected}" if fitting else None
+
+
+def _is_in_range(name: str, value: float) -> bool:
+    low, high = RANGES[name]
+    return low <= value <= high and value > 0.0
 
 
 def _size(text: str, written: str) -> tuple[int, int]:

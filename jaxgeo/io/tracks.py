@@ -20,7 +20,9 @@ from jaxgeo.io.geoid import degrees_of, height_msl
 
 EXTENDED = "http://www.google.com/kml/ext/2.2"  # of KML, for tracks with times
 ABOUT = "Positions of the platform on WGS 84, heights above mean sea level (EGM96)."
-ABOUT_TAKEOFF = "Positions of the platform on WGS 84; heights are above the take-off, whose own height is unknown."
+ABOUT_TAKEOFF = (
+    "Positions of the platform on WGS 84, without heights: they are above the take-off, whose own height is unknown."
+)
 
 
 class _Track(NamedTuple):
@@ -35,8 +37,8 @@ class _Track(NamedTuple):
 
     @property
     def mode(self) -> str:
-        """The altitude mode of KML. It has none above a take-off; above the ground is the same over level ground."""
-        return "relativeToGround" if self.is_above_takeoff else "absolute"
+        """The altitude mode of KML. It has none above a take-off: the ground below may be higher or lower."""
+        return "clampToGround" if self.is_above_takeoff else "absolute"
 
 
 def write_track(
@@ -46,10 +48,10 @@ def write_track(
 
     Each acquisition is a track, in order of its times. Heights are above mean sea level (EGM96). Points have a time
     (ISO 8601) if the acquisition's times are in UTC; in KML, a track with times for all points is a `gx:Track`, else a
-    line. With `is_above_takeoff` heights are above a take-off whose own height is unknown: GPX then has none, and in
-    KML they are above the ground below, as they are where that is as high as the take-off. The file appears only when
-    complete. Raises `ValueError` for another ending, a path that cannot be written to, and names that XML cannot hold;
-    `TypeError` for other arguments.
+    line, and a single exposure a point. With `is_above_takeoff` heights are above a take-off whose own height is
+    unknown: points then have none, and in KML they are drawn on the ground. The file appears only when complete. Raises
+    `ValueError` for another ending, a path that cannot be written to, and names that XML cannot hold; `TypeError` for
+    other arguments.
     """
     target = pathlib.Path(path)
     write = writer_of(target)
@@ -102,19 +104,36 @@ def _kml(tracks: list[_Track]) -> ET.Element:
         mark = ET.SubElement(document, "Placemark")
         _text(mark, "name", track.name)
         points = track.places.tolist()
-        if all(time is not None for time in track.times):
+        if len(points) == 1:
+            _add_point(mark, track, points[0])
+        elif all(time is not None for time in track.times):
             element = ET.SubElement(mark, "gx:Track")
             _text(element, "altitudeMode", track.mode)
             for time in track.times:
                 _text(element, "when", f"{time}")
-            for lon, lat, height in points:
-                _text(element, "gx:coord", f"{lon:.10f} {lat:.10f} {height:.4f}")
-            continue
-        line = ET.SubElement(mark, "LineString")
-        _text(line, "altitudeMode", track.mode)
-        twice = points if len(points) > 1 else points * 2  # a line has two points
-        _text(line, "coordinates", " ".join(f"{lon:.10f},{lat:.10f},{height:.4f}" for lon, lat, height in twice))
+            for place in points:
+                _text(element, "gx:coord", " ".join([*_axes(track, place), "0"][:3]))  # has three numbers in any mode
+        else:
+            line = ET.SubElement(mark, "LineString")
+            _text(line, "altitudeMode", track.mode)
+            _text(line, "coordinates", " ".join(",".join(_axes(track, place)) for place in points))
     return root
+
+
+def _add_point(mark: ET.Element, track: _Track, place: list[float]) -> None:
+    """Add a point, with its time if it is known. A placemark has its time before its geometry (KML 2.2, OGC 2008)."""
+    (time,) = track.times
+    if time is not None:
+        _text(ET.SubElement(mark, "TimeStamp"), "when", time)
+    point = ET.SubElement(mark, "Point")
+    _text(point, "altitudeMode", track.mode)
+    _text(point, "coordinates", ",".join(_axes(track, place)))
+
+
+def _axes(track: _Track, place: list[float]) -> list[str]:
+    """Longitude, latitude and, above a datum, height."""
+    lon, lat, height = place
+    return [f"{lon:.10f}", f"{lat:.10f}", *([] if track.is_above_takeoff else [f"{height:.4f}"])]
 
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:

@@ -83,7 +83,7 @@ class AbstractCamera(Record):
 
 
 LONGEST = 10.0  # m, focal length
-PITCHES = (1e-7, 1e-3)  # m
+PITCHES = (5e-7, 1e-3)  # m
 
 
 class FrameCamera(AbstractCamera):
@@ -127,7 +127,7 @@ class FrameCamera(AbstractCamera):
 
         `principal_point` is the offset (right, down) of the principal point from the centre of the image.
         Raises `ValueError` for lengths that are not positive and finite, a focal length above 10 m or a pitch that is
-        not from 0.1 um to 1 mm, or a size that is not a positive integer.
+        not from 0.5 um to 1 mm, or a size that is not a positive integer.
 
         >>> camera = jaxgeo.FrameCamera.from_metric(focal_length=0.05, pixel_pitch=4e-6, width=6000, height=4000)
         >>> across, down = camera.field_of_view()

@@ -170,6 +170,18 @@ def test_lenses_as_people_type_them() -> None:
         ("focal=0mm,pitch=2um", "focal=0mm is not a number above zero"),
         ("focal=-8mm,pitch=2um", "focal=-8mm is not"),
         ("focal=8.8mm,pitch=2.41mm", "pitch=2.41mm is not a number above zero in um"),
+        ("focal=120mm,pitch=0.144mm", r"in um \(pitch=144um\?\)"),
+        ("focal=120mm,pitch=2410nm", r"\(pitch=2\.41um\?\)"),
+        ("focal=120mm,pitch=2.41", r"\(pitch=2\.41um\?\)"),
+        ("focal=120mm,pitch=0.144", "is not a number above zero in um. Give"),
+        ("focal=12cm,pitch=5um", r"in mm or px \(focal=120mm\?\)"),
+        ("focal=0.12m,pitch=5um", r"\(focal=120mm\?\)"),
+        ("focal=8.8mm,sensor=1.32cm", r"\(sensor=13\.2mm\?\)"),
+        ("focal=8.8mm,sensor=13200um", r"\(sensor=13\.2mm\?\)"),
+        ("film=0.024m", r"\(film=24mm\?\)"),
+        ("focal=120mm,pitch=0.144um", "pitch=0.144um is no such length of a camera; expected from 0.5 to 1000 um"),
+        ("focal=120mm,pitch=1001um", "pitch=1001um is no such length of a camera; expected from 0.5 to 1000 um"),
+        ("focal=120000mm,pitch=5um", "focal=120000mm is no such length of a camera; expected at most 10000 mm"),
         ("focal=3666px,pitch=2um", "in px needs neither"),
         ("focal=8mm,focal=9mm", "each once"),
         ("focal=8.8mm,zoom=2", "'zoom=2' is none of"),
@@ -182,6 +194,23 @@ def test_lenses_that_are_none(text: str, words: str) -> None:
         given_camera(text)
     assert 'camera="focal=8.8mm,pitch=2.41um"' in str(why.value)
     assert "\n" not in str(why.value)
+
+
+@pytest.mark.parametrize("pitch", [0.4999, 0.5, 240.0, 1000.0, 1000.1])
+def test_text_scene_files_and_python_have_one_range_of_pixel_sizes(tmp_path: pathlib.Path, pitch: float) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text(f"[camera]\nwidth = 40\nheight = 30\nfocal_length_mm = 8.8\npixel_pitch_um = {pitch}\n")
+    ways = (
+        lambda: whole_camera(f"focal=8.8mm,pitch={pitch}um,size=40x30"),
+        lambda: whole_camera(path),
+        lambda: FrameCamera.from_metric(focal_length=8.8e-3, pixel_pitch=pitch * 1e-6, width=40, height=30),
+    )
+    for way in ways:
+        if 0.5 <= pitch <= 1000.0:
+            np.testing.assert_allclose(way().focal_px, 8.8e3 / pitch, rtol=1e-12)
+        else:
+            with pytest.raises((TableError, SceneError, ValueError), match="pitch"):
+                way()
 
 
 def test_a_size_is_needed_where_files_have_none() -> None:

@@ -92,6 +92,20 @@ def test_photos_are_placed_at_the_events_of_their_marks(flight) -> None:
     np.testing.assert_allclose(found.sources[0].sigma, np.tile([0.01, 0.02, 0.03], (3, 1)))
 
 
+def test_positions_of_marks_and_solutions_replace_what_images_say_of_their_own(flight) -> None:
+    """Times are those of the marks in UTC, errors those of the solutions; nothing that is said contradicts another."""
+    images, path = flight
+    own = read_acquisition(images, height_datum="ellipsoid")
+    assert "position errors" in own.facts
+    assert any(one.startswith("Positions are taken to be those of the camera") for one in own.assumed)
+    for found in (read_acquisition(images, positions=path), read_acquisitions(images, positions=path).parts[0]):
+        assert found.time_is_utc
+        np.testing.assert_allclose(found.shots.time, START + np.array([*AT.values()]), atol=1e-5)  # s
+        assert found.facts["position errors"] == "0.01, 0.02, 0.03 m (standard deviations north, east, down)"
+        assert "Times are those of the marks in 100_Timestamp.MRK, in UTC." in found.assumed
+        assert not any("camera's clock" in one or "those of the camera:" in one for one in found.assumed)
+
+
 def test_the_marks_may_lie_beside_the_solutions(flight) -> None:
     images, path = flight
     (images / "100_Timestamp.MRK").rename(path.parent / "marks.mrk")
@@ -147,7 +161,8 @@ def test_photos_are_read_one_by_one_on_the_command_line(flight) -> None:
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert [one["name"] for one in told["unread"]] == ["DJI_0002.JPG"]
-    assert "no image was taken within it" in told["unread"][0]["reason"]
+    assert "DJI_0002.JPG was not taken within it" in told["unread"][0]["reason"]
+    assert "no image" not in told["unread"][0]["reason"]
     heights = [row["height_m"] for row in told["exposures"]]
     np.testing.assert_allclose(heights, cameras()[::2, 2], atol=2e-3)
 

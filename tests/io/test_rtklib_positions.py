@@ -17,7 +17,7 @@ from support.command_runner import CliRunner
 from support.drone_image_files import packet, write_image
 
 from jaxgeo.cli import app
-from jaxgeo.io import TableError, UnstatedDatum, read_acquisition, with_positions
+from jaxgeo.io import TableError, UnstatedDatum, read_acquisition, read_acquisitions, with_positions
 from jaxgeo.io.acquisitions._position_tables import read_positions
 from jaxgeo.io.acquisitions.detect import form_of
 from tests.io.test_positions import DJI
@@ -127,7 +127,33 @@ def test_images_outside_a_trajectory_or_in_a_gap_are_left_out(tmp_path: pathlib.
 def test_solutions_that_are_not_fixed_are_told(tmp_path: pathlib.Path) -> None:
     path = written(tmp_path, track(np.arange(0.0, 10.0, 0.2), quality=2))
     found = read_acquisition(image(tmp_path, "a.jpg", 7.31), positions=path)
-    assert "Images at solutions that are not fixed: 1 float (Q 2)." in found.assumed
+    assert "Images at solutions that are not fixed: float (Q 2)." in found.assumed
+    images = tmp_path / "images"
+    images.mkdir()
+    for name, after in (("a.jpg", 3.31), ("b.jpg", 4.31), ("c.jpg", 7.31)):
+        image(images, name, after)
+    found = read_acquisition(images, positions=path)
+    assert "Images at solutions that are not fixed: 3 float (Q 2)." in found.assumed
+
+
+@pytest.mark.parametrize("bad", [1, 2, 3])
+def test_counts_of_a_folder_are_over_all_its_images(tmp_path: pathlib.Path, bad: int) -> None:
+    """Images of a folder are read one by one: no sentence or fact counts one image as all."""
+    images = tmp_path / "images"
+    images.mkdir()
+    for k in range(3):
+        image(images, f"{'abc'[k]}.jpg", 2.31 + 3.0 * k)
+    fixed, single = track(np.arange(0.0, 12.0, 0.2)), track(np.arange(0.0, 12.0, 0.2), quality=5)
+    split = len(HEADER.splitlines()) + round((2.31 + 3.0 * bad - 1.5) / 0.2)  # between two images
+    path = written(tmp_path, "\n".join([*single.splitlines()[:split], *fixed.splitlines()[split:], ""]))
+    found = read_acquisitions(images, positions=path)
+    (said,) = (one for one in found.assumed if "not fixed" in one)
+    assert said == "Images at solutions that are not fixed: single (Q 5)." + (
+        "" if bad == 3 else f" ({bad} of 3 files)"
+    )
+    (part,) = found.parts
+    assert part.facts["positions"] == "RTKLIB solutions, by time"
+    assert not any("1 of 1" in one for one in (*part.assumed, *part.facts.values()))
 
 
 def test_times_and_errors_of_a_public_file(tmp_path: pathlib.Path) -> None:
@@ -188,8 +214,8 @@ REFUSED = {
     "datum": (SAMPLE, {"height_datum": "EPSG:5773"}, "heights are above the ellipsoid; leave height_datum="),
     "crs": (SAMPLE, {"crs": "EPSG:32616"}, "leave crs= out"),
     "no solution": (UNSOLVED, {}, "no epoch has a solution"),
-    "another day": (track(np.arange(0.0, 5.0, 0.2)), {}, "no image was taken within it: it is from 2023-06-15T10:00"),
-    "other events": (SAMPLE.replace(".000 ", ".123 "), {}, "no image was taken at one of its times, 2026-09-15T08:49"),
+    "another day": (track(np.arange(0.0, 5.0, 0.2)), {}, "a.jpg was not taken within it: it is from 2023-06-15T10:00"),
+    "other events": (SAMPLE.replace(".000 ", ".123 "), {}, "a.jpg was taken at none of its times, 2026-09-15T08:49"),
 }  # fmt: skip
 
 
@@ -213,7 +239,7 @@ def test_solutions_on_the_command_line(tmp_path: pathlib.Path) -> None:
     path = written(tmp_path, track(np.arange(0.0, 60.0, 0.2)))
     shown = CliRunner().invoke(app, ["inspect", str(image(tmp_path, "a.jpg", 7.31)), "--positions", str(path)])
     assert shown.exit_code == 0, shown.output
-    assert "RTKLIB solutions, 1 of 1 images, by time" in shown.output
+    assert "RTKLIB solutions, by time" in shown.output
     alone = CliRunner().invoke(app, ["inspect", str(path)])
     assert alone.exit_code != 0
     assert "give the images, with this file as --positions" in " ".join(alone.output.split())

@@ -205,8 +205,8 @@ MISTAKES = [
     ("lat_deg = 44.2", "lat_deg = nan", ["[pose] lat_deg = nan", "finite number", "deg"]),
     ("lon_deg = 5.3", "", ["[pose]", "the position is lat_deg and lon_deg (deg)"]),
     ("lon_deg = 5.3", 'lon_deg = "5 E"', ["[pose] lon_deg = '5 E'", "valid number", "deg"]),
-    ("pixel_pitch_um = 5.0", "pixel_pitch_um = -5.0", ["[camera] pixel_pitch_um = -5.0", "at least 0.1 um"]),
-    ("pixel_pitch_um = 5.0", "pixel_pitch_um = 0.0039", ["[camera] pixel_pitch_um = 0.0039", "at least 0.1 um"]),
+    ("pixel_pitch_um = 5.0", "pixel_pitch_um = -5.0", ["[camera] pixel_pitch_um = -5.0", "at least 0.5 um"]),
+    ("pixel_pitch_um = 5.0", "pixel_pitch_um = 0.0039", ["[camera] pixel_pitch_um = 0.0039", "at least 0.5 um"]),
     ("width = 400", "width = 400.5", ["[camera] width = 400.5", "whole pixels"]),
     ("[1.0, 0.0, 0.5]", "[1.0, 0.5]", ["[mount] lever_body_m = [1.0, 0.5]", "list of 3 numbers in m"]),
     (

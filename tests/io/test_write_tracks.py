@@ -5,6 +5,7 @@ Held against: GDAL's driver of GPX, KML's schema (fastkml), and PROJ for heights
 
 from __future__ import annotations
 
+import dataclasses
 import pathlib
 from xml.etree import ElementTree as ET
 
@@ -92,7 +93,7 @@ def test_kml_is_valid_by_its_schema_with_and_without_times(tmp_path: pathlib.Pat
     found = np.array([(one.text or "").split() for one in track.findall("gx:coord", KML)], float)
     np.testing.assert_allclose(found, places(), atol=1e-3)
     clip = tmp_path / "clip.srt"
-    clip.write_text(subtitles(), encoding="utf-8")  # its times are of an unknown zone
+    clip.write_text(subtitles({}, {}), encoding="utf-8")  # its times are of an unknown zone
     write_track(path, read_acquisition(clip, takeoff_height=600.0))
     assert validator.validate(file_to_validate=path)
     assert ET.parse(path).getroot().find(".//kml:LineString", KML) is not None
@@ -112,21 +113,40 @@ def test_the_command_line_writes_tracks(tmp_path: pathlib.Path, flight: Acquisit
 
 
 def test_tracks_above_a_take_off_of_unknown_height_claim_no_sea_level(tmp_path: pathlib.Path) -> None:
-    """GPX 1.1 (Topografix, 2004): `ele` may be left out; KML: heights above the ground below, not above the sea."""
+    """GPX 1.1 (Topografix, 2004): `ele` may be left out. KML 2.2 (OGC, 2008): `clampToGround` ignores heights, which
+    above the ground below would be wrong over hills."""
     path = tmp_path / "flight.csv"
-    path.write_text(airdata(), encoding="utf-8")
-    found = read_acquisition(path, takeoff_height=0.0)
-    heights = np.sort(np.asarray(found.shots.pose.position.height))
+    path.write_text(airdata(*ROWS), encoding="utf-8")
     line = ["inspect", str(path), "--takeoff-height", "0", "-o"]
     for name in ("track.kml", "track.gpx"):
         assert CliRunner().invoke(app, [*line, str(tmp_path / name)]).exit_code == 0
     track = ET.parse(tmp_path / "track.kml").getroot().find(".//gx:Track", KML)
     assert track is not None
-    assert track.findtext("kml:altitudeMode", None, KML) == "relativeToGround"
-    places = np.array([(one.text or "").split() for one in track.findall("gx:coord", KML)], float)
-    np.testing.assert_allclose(np.sort(places[:, 2]), heights, atol=1e-4)
+    assert track.findtext("kml:altitudeMode", None, KML) == "clampToGround"
+    found = np.array([(one.text or "").split() for one in track.findall("gx:coord", KML)], float)
+    np.testing.assert_array_equal(found[:, 2], 0.0)
     assert "<ele>" not in (tmp_path / "track.gpx").read_text()
     for one in ("track.kml", "track.gpx"):
         assert "sea level" not in (tmp_path / one).read_text()
     assert CliRunner().invoke(app, [*line, str(tmp_path / "shots.csv")]).exit_code == 0
     assert "height_datum" not in (tmp_path / "shots.csv").read_text()
+
+
+@pytest.mark.parametrize("above", [False, True], ids=["above the sea", "above the take-off"])
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_single_exposure_is_a_point_of_kml(tmp_path: pathlib.Path, timed: bool, above: bool) -> None:
+    """By KML's schema (OGC, 2008) the time of a placemark is before its point; GDAL reads a point, not a line."""
+    validator = pytest.importorskip("fastkml.validator")
+    source = tmp_path / "flight.csv"
+    source.write_text(airdata(ROWS[0]), encoding="utf-8")
+    found = dataclasses.replace(read_acquisition(source, takeoff_height=600.0), time_is_utc=timed)
+    path = tmp_path / "track.kml"
+    write_track(path, found, is_above_takeoff=above)
+    assert validator.validate(file_to_validate=path)
+    (mark,) = ET.parse(path).getroot().iter(f"{{{KML['kml']}}}Placemark")
+    assert mark.findtext("kml:Point/kml:altitudeMode", None, KML) == ("clampToGround" if above else "absolute")
+    assert mark.findtext("kml:TimeStamp/kml:when", None, KML) == (TIMES[0] if timed else None)
+    text = mark.findtext("kml:Point/kml:coordinates", "", KML)
+    np.testing.assert_allclose([float(one) for one in text.split(",")], places()[0, : 2 if above else 3], atol=1e-3)
+    _, _, shapes, _ = raw.read(path)
+    assert [one.geom_type for one in shapely.from_wkb(shapes)] == ["Point"]

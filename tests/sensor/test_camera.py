@@ -202,7 +202,7 @@ MISTAKES = {
         {**METRIC, "focal_length": 75},
         r"focal_length must be in m, from 0 to 10; got 75: a 50 mm lens",
     ),
-    "pitch in um": ({**METRIC, "pixel_pitch": 4.5}, r"pixel_pitch must be in m, from 1e-07 to 0.001; got 4\.5: pixels"),
+    "pitch in um": ({**METRIC, "pixel_pitch": 4.5}, r"pixel_pitch must be in m, from 5e-07 to 0.001; got 4\.5: pixels"),
     "focal length not finite": ({**METRIC, "focal_length": np.nan}, r"focal_length must be finite, in m; got nan"),
     "three pitches": ({**METRIC, "pixel_pitch": (1e-6, 1e-6, 1e-6)}, r"a pair \(along columns, along rows\)"),
     "not a number of columns": ({**METRIC, "width": True}, "width must be a whole number of pixels"),

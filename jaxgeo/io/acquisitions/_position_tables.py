@@ -29,7 +29,8 @@ from jaxgeo.io.sentinels import MARKS, sentinel_of
 
 FIRST = 65_536  # characters looked at for the kind of a file
 ANTENNA = (
-    "Positions are the antenna's, in the base station's frame, taken to be WGS 84: no lever arm to the camera is added."
+    "Positions are the antenna's, in the base station's frame, taken to be WGS 84: no lever arm to the camera is "
+    "added, nor is it among the errors."
 )
 MOVED = (
     "Positions are the antenna's, in the base station's frame, taken to be WGS 84, moved to the camera by the offsets "

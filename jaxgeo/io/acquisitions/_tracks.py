@@ -36,9 +36,11 @@ def at_times(found: Acquisition, table: PositionTable) -> PositionTable:
     if not np.any(within):
         taken = int(np.argmax(np.isfinite(times)))  # images without a mark have no time
         first, last, own = (_clock(one) for one in (table.time[0], table.time[-1], times[taken]))
+        one = found.names[taken]
+        none = f"{one} was not taken within it" if len(found) == 1 else "no image was taken within it"
         raise TableError(
-            f"{table.path}: no image was taken within it: it is from {first} to {last} (UTC), with gaps of up to "
-            f"{np.max(np.diff(table.time)):.1f} s, and {found.names[taken]} of {own}."
+            f"{table.path}: {none}: it is from {first} to {last} (UTC), with gaps of up to "
+            f"{np.max(np.diff(table.time)):.1f} s, and {one} of {own}."
         )
     after, t = after[within], times[within]
     p = table.position
@@ -107,11 +109,16 @@ def _velocity(table: PositionTable, after: np.ndarray) -> np.ndarray:
 
 
 def _qualities(table: PositionTable, after: np.ndarray) -> list[str]:
-    """A note on images beside solutions that are not fixed."""
+    """A note on images beside solutions that are not fixed; without a count for an image alone, which may be one of a
+    folder."""
     if table.quality is None:
         return []
     worst = np.maximum(table.quality[after - 1], table.quality[after])
-    kinds = [f"{np.sum(worst == q)} {QUALITY.get(int(q), 'other')} (Q {q})" for q in np.unique(worst) if q != 1]
+    kinds = [
+        f"{f'{np.sum(worst == q)} ' if len(worst) > 1 else ''}{QUALITY.get(int(q), 'other')} (Q {q})"
+        for q in np.unique(worst)
+        if q != 1
+    ]
     return [f"Images at solutions that are not fixed: {', '.join(kinds)}."] if kinds else []
 
 

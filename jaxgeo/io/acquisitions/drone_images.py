@@ -41,6 +41,9 @@ POSITIONS = (
     "Positions are taken to be those of the camera: the lever arm from the antenna, some 0.2 m where the drone does "
     "not allow for it, is not among the errors."
 )
+CAMERA_CLOCK = "Times are by the camera's clock, whose time zone is not said."
+NO_TIME = "The time of an image, or of all, is not in the file; it is set to zero."
+NO_ACCURACY = "state no position accuracy"
 
 Path = str | os.PathLike[str]
 
@@ -194,11 +197,11 @@ def _warnings_of(tags: ImageTags) -> list[str]:
 def _times(tags: list[ImageTags], notes: dict[str, None]) -> tuple[np.ndarray, bool]:
     found = [_time(one, notes) for one in tags]
     if any(time is None for time, _ in found):
-        notes |= {"The time of an image, or of all, is not in the file; it is set to zero.": None}
+        notes |= {NO_TIME: None}
         return np.array([0.0 if time is None else time for time, _ in found]), False
     is_utc = all(utc for _, utc in found)
     if not is_utc:
-        notes |= {"Times are by the camera's clock, whose time zone is not said.": None}
+        notes |= {CAMERA_CLOCK: None}
     if not is_utc and any(utc for _, utc in found):
         raise TableError(f"{tags[0].path}: some of the images tell their time in UTC and some do not; read them apart.")
     return np.array([time for time, _ in found]), is_utc
@@ -229,7 +232,7 @@ def _position_errors(
     if not np.all(stated):
         sigma[~stated] = POSITION
         count, usual = f"{int(np.sum(~stated))} of {len(tags)} images", ", ".join(f"{value:g}" for value in POSITION)
-        notes |= {f"{count} state no position accuracy; position sigma there: {usual} m ({AXES}; default).": None}
+        notes |= {f"{count} {NO_ACCURACY}; position sigma there: {usual} m ({AXES}; default).": None}
         words += f"; {count} do not say it"
     return (jax.tree.map(np.asarray, jax.vmap(Position)(sigma)),), words
 

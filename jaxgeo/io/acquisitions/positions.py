@@ -14,9 +14,11 @@ import pyproj
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io.acquisitions._image_cameras import span_shown
 from jaxgeo.io.acquisitions._marks import Marks, marks_beside, moved
 from jaxgeo.io.acquisitions._position_tables import ANTENNA, MOVED, PositionTable, read_positions
 from jaxgeo.io.acquisitions._tracks import at_times, no_utc
+from jaxgeo.io.acquisitions.drone_images import AXES, CAMERA_CLOCK, NO_ACCURACY, NO_TIME, POSITIONS
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.acquisitions.sentences import DOUBT
 from jaxgeo.io.errors import TableError
@@ -28,6 +30,8 @@ FAR_UP = 200.0  # m between the two heights: more than the undulation of the geo
 LATE = 1.0  # s: tolerance between an image and its mark when joined by time
 SPREAD = 10.0  # s: allowed spread of clock differences when joined by number
 EARTH_RADIUS = 6.371e6  # m
+OF_MARKS = "Times are those of the marks in {}, in UTC."
+PLACED = ("Positions are the antenna's", "Positions are the camera's")  # sentences of tables that say what they are of
 
 
 def with_positions(
@@ -47,6 +51,7 @@ def with_positions(
     events) are those of images up to 1 s away; the positions are the antenna's, without a lever arm. With DJI's marks
     (one file `.MRK`) beside the images or beside the solutions, they match at the times of the marks, by the four
     digits in the names of the images, and positions are moved from the antenna to the camera by the marks' offsets.
+    Times of marks in UTC replace those of a camera's clock without a time zone.
     Exposures that are missing in the file are left out, and named in `assumed`. If it has no heights, those of the
     exposures are kept.
 
@@ -83,7 +88,8 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
     height = table.position.height[pick] if table.has_heights else shots.pose.position.height
     position = Geodetic(lat=table.position.lat[pick], lon=table.position.lon[pick], height=height)
     position = position if marks is None else moved(position, offset[kept])
-    shots = dataclasses.replace(shots, pose=dataclasses.replace(shots.pose, position=position))
+    time, clock = _times(found, timed, table, kept, pick, marks)
+    shots = dataclasses.replace(shots, pose=dataclasses.replace(shots.pose, position=position), time=time)
     others = tuple(source for source in sources if not isinstance(source, Position))
     if table.sigma is not None:
         others = (jax.tree.map(np.asarray, jax.vmap(Position)(table.sigma[pick])), *others)
@@ -96,14 +102,17 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
         reported=reported,
         above_takeoff=above_takeoff,
         tags=tuple(found.tags[k] for k in kept) if found.tags else (),
-        assumed=(*_of_images(found, table), *table.assumed, *_notes(found, table, kept, pick), *doubts),
-        facts={**found.facts, "positions": f"{table.form}, {len(kept)} of {len(found)} images, by {by}"},
+        assumed=(*_of_images(found, table, clock), *table.assumed, *clock, *_notes(found, table, kept, pick), *doubts),
+        facts=_facts(found, table, kept, pick, by),
+        time_is_utc=found.time_is_utc or bool(clock),
+        camera_time=np.asarray(found.shots.time)[kept] if clock else None,
     )
 
 
 def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> None:
     """Raises `TableError` if the times of images read one by one and of a table are not of one flight, or if two
     images share a number. Images joined by name or by time need no check."""
+    images = [_by_own_clock(one) for one in images]
     if table.names is None and table.numbers is None:
         by_folder: dict[str, list[Acquisition]] = {}
         for one in images:
@@ -129,6 +138,15 @@ def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> Non
     rows, _ = _joined(found, table)
     kept = np.flatnonzero(rows >= 0)
     _check_clocks(found, table, kept, rows[kept])
+
+
+def _by_own_clock(found: Acquisition) -> Acquisition:
+    """Exposures with the times of the camera, where those of marks are in their place."""
+    if found.camera_time is None:
+        return found
+    return dataclasses.replace(
+        found, shots=dataclasses.replace(found.shots, time=found.camera_time), time_is_utc=False, camera_time=None
+    )
 
 
 def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
@@ -276,6 +294,10 @@ def _none_joined(found: Acquisition, table: PositionTable) -> str:
         first, last = (np.datetime64(int(one), "s") for one in (np.min(table.time), np.max(table.time)))  # type: ignore[arg-type]
         times = np.asarray(found.shots.time)
         own = np.datetime64(int(times[int(np.argmax(np.isfinite(times)))]), "s")  # images without a mark have no time
+        if len(found) == 1:
+            return (
+                f"{table.path}: {found.names[0]} was taken at none of its times, {first} to {last} (UTC), but at {own}."
+            )
         return f"{table.path}: no image was taken at one of its times, {first} to {last} (UTC); the first is of {own}."
     if len(found) == 1:
         return f"{table.path}: it has no position of {found.names[0]}, but of {_some(np.asarray(there).astype(str))}."
@@ -285,10 +307,41 @@ def _none_joined(found: Acquisition, table: PositionTable) -> str:
     )
 
 
-def _of_images(found: Acquisition, table: PositionTable) -> list[str]:
-    """Assumptions about the images, without those about the replaced positions."""
-    gone = ["How well the positions"] + (["Heights are"] if table.has_heights else [])
-    return [one for one in found.assumed if not one.startswith(tuple(gone))]
+def _times(
+    found: Acquisition,
+    timed: Acquisition,
+    table: PositionTable,
+    kept: np.ndarray,
+    rows: np.ndarray,
+    marks: Marks | None,
+) -> tuple[np.ndarray, list[str]]:
+    """(times of the images kept, a sentence if they are those of marks in UTC in place of the camera's clock)."""
+    own = np.asarray(found.shots.time)[kept]
+    if found.time_is_utc:
+        return own, []
+    if marks is not None:
+        return np.asarray(timed.shots.time)[kept], [OF_MARKS.format(os.path.basename(marks.path))]
+    if table.numbers is not None and table.time is not None:
+        return np.asarray(table.time)[rows], [OF_MARKS.format(os.path.basename(table.path))]
+    return own, []
+
+
+def _of_images(found: Acquisition, table: PositionTable, clock: list[str]) -> list[str]:
+    """Assumptions about the images, without those about the replaced positions and times."""
+    gone = ["How well the positions", "The errors of position"] + (["Heights are"] if table.has_heights else [])
+    gone += [POSITIONS] if any(one.startswith(PLACED) for one in table.assumed) else []
+    gone += [CAMERA_CLOCK, NO_TIME] if clock else []
+    return [one for one in found.assumed if not one.startswith(tuple(gone)) and NO_ACCURACY not in one]
+
+
+def _facts(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray, by: str) -> dict[str, str]:
+    """Facts of the images, with the errors of the positions that are used. Of an image read alone no count is said: it
+    may be one of a folder."""
+    count = f"{len(kept)} of {len(found)} images, " if len(found) > 1 else ""
+    errors = "not said"
+    if table.sigma is not None:
+        errors = f"{', '.join(span_shown(column, '.3g') for column in table.sigma[rows].T)} m ({AXES})"
+    return {**found.facts, "position errors": errors, "positions": f"{table.form}, {count}by {by}"}
 
 
 def _notes(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> list[str]:

@@ -49,6 +49,7 @@ class Acquisition:
     - `of_camera`: whether poses without a sensor are the camera's own, as of a body that carries it in
       `Mount.nadir()` with `Gimbal.fixed()`: then only the camera of a scene applies to them.
     - `start`: the time of the first record of the file, from which the times of a video count; None if unknown.
+    - `camera_time` (n,): times in s by the camera's clock, where `shots` have those of marks in their place; or None.
     - `tags`: everything found for each exposure, by the file's own names, including those unknown to the reader.
     """
 
@@ -67,6 +68,7 @@ class Acquisition:
     of_camera: bool = False
     start: float | None = None
     takeoff_sigma: float = 0.0
+    camera_time: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         check_is(self.shots, Shot, "shots", "One Shot, whose fields hold an entry for each exposure.")
