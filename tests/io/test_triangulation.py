@@ -135,12 +135,13 @@ def test_the_examples_of_the_guide_are_one_image(tmp_path: pathlib.Path) -> None
     """Both, as printed, have the pose of omega 0.35, phi -0.3, kappa 91.2 deg."""
     text = (pathlib.Path(__file__).parents[2] / "docs/howto/navigation.md").read_text(encoding="utf-8")
     blocks = [block.partition("```")[0] for block in text.split("```text\n")[1:]]
-    sensors = []
+    sensors: list[np.ndarray] = []
     for block in [one for one in blocks if one.split()[0] in ("101", "ORIA")]:
         path = tmp_path / f"{len(sensors)}.ori"
         path.write_text(block, encoding="utf-8")
         found = read_acquisition(path, height_datum="ellipsoid", crs=UTM, cameras=CAMERA)
-        sensor, shot, _ = found.exposure(0)
+        parts: Any = found.exposure(0)
+        sensor, shot, _ = parts
         sensors.append(np.asarray(sensor.R_ned_from_camera(shot)))
     assert len(sensors) == 2
     to_earth = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True)
