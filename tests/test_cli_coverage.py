@@ -675,6 +675,16 @@ def displaced(rows: list[list[str]], strip: str, north: float, east: float, turn
     return found
 
 
+def test_images_one_after_the_other_askew_are_said(tmp_path: pathlib.Path) -> None:
+    """From strip to strip, 600 m to the east and 500 m to the north."""
+    given = strips_scene(tmp_path)
+    change_rows(given, lambda rows: displaced([rows[0], [*rows[7][:4], "0", *rows[7][5:]]], "B", 500.0, 0.0))
+    result = run("overlap", *given)
+    assert "invalid_input: s0i0 and s1i0: the way from one image to the next is along neither side" in result.stderr
+    change_rows(given, lambda rows: displaced(rows, "B", -250.0, -600.0))
+    assert "is along neither side" not in run("overlap", *given).stderr
+
+
 @pytest.mark.parametrize("turn", [False, True])
 def test_strips_of_which_none_lie_side_by_side_are_said(tmp_path: pathlib.Path, turn: bool) -> None:
     """One behind the other, and across each other."""
