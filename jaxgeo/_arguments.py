@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64, check_is, concrete, is_known, require_x64
+from jaxgeo._checks import as_float64, check_is, concrete, given_array, is_known, require_x64
 from jaxgeo._typing import Pixel, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
@@ -30,7 +30,7 @@ def checked_observation(
 ) -> tuple[Sensor, Shot | Trajectory, Scalar, Pixel]:
     """Validated sensor, shot or trajectory, image time and one pixel, in float64."""
     sensor, shot, time = checked_exposure(sensor, shot, time)
-    pixel = as_float64(as_array(uv, "uv"), "uv")
+    pixel = as_float64(given_array(uv, "uv", "one pixel (column, row)"), "uv")
     if pixel.shape != (2,):
         raise ValueError(
             f"uv must be one pixel (column, row) of shape (2,); got shape {pixel.shape}. "

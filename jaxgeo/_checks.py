@@ -17,6 +17,15 @@ from jax._src.core import trace_state_clean
 T = TypeVar("T")
 
 MOST_INDEXED = 2**31 - 1  # int32
+TEXTS = "US"  # kinds of NumPy's dtypes
+NO_NUMBERS = {
+    "U": "texts",
+    "S": "texts",
+    "O": "an array of objects",
+    "M": "dates",
+    "m": "spans of time",
+    "b": "truth values",
+}
 
 
 def enable_x64() -> None:
@@ -107,6 +116,7 @@ def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str | tuple[str, .
     if isinstance(name, tuple):
         name, path = name[path[0].idx], path[1:]
     where = f"{name}{jax.tree_util.keystr(path)}"
+    _check_dtype(leaf, dtype, where)
     raise TypeError(
         f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
         f"the metres. Make it float64 where it is read or created, e.g. np.asarray(x, np.float64)."
@@ -114,9 +124,23 @@ def _leaf_as_float64(number: int, leaf: Any, tree: Any, name: str | tuple[str, .
 
 
 def check_no_text(value: Any, name: str) -> None:
-    """Raise `TypeError` for a text in place of numbers."""
+    """Raise `TypeError` for a text, or an array of texts, in place of numbers."""
     if isinstance(value, str | bytes):
         raise TypeError(f"{name} must be numbers; got the text {value!r}. Convert it first, as by float(text).")
+    if isinstance(value, np.ndarray) and value.dtype.kind in TEXTS:
+        _check_dtype(value, value.dtype, name)
+
+
+def _check_dtype(value: Any, dtype: Any, name: str) -> None:
+    """Raise `TypeError` for an array of texts, objects, dates or truth values, in place of numbers."""
+    kind = getattr(dtype, "kind", "")
+    if kind not in NO_NUMBERS:
+        return
+    first = next(iter(np.asarray(value).ravel().tolist()), None)
+    such = "" if first is None and kind != "O" else f", such as {first!r}"
+    raise TypeError(
+        f"{name} must be numbers; got {NO_NUMBERS[kind]}{such}. Convert them first, as by np.asarray(x, np.float64)."
+    )
 
 
 def concrete(value: Any) -> np.ndarray | None:
@@ -165,14 +189,34 @@ def _shown(value: np.ndarray) -> str:
 def as_array(value: Any, name: str) -> Any:
     """Numbers, some perhaps traced, in a list or tuple, or in lists of lists, as one array; anything else as it is.
 
-    Raises `TypeError` for a text, a mapping, and other objects that are no numbers.
+    Raises `TypeError` for a text, a mapping, None in a list, and other objects that are no numbers; `ValueError` for
+    lists whose rows differ in length.
     """
     check_no_text(value, name)
     if not isinstance(value, list | tuple):
         _check_is_array(value, name)
         return value
+    for k, part in enumerate(value):
+        if part is None:
+            raise TypeError(f"{name}[{k}] must be a number; got None. Give all {len(value)} values.")
     parts = [as_float64(as_array(part, f"{name}[{k}]"), f"{name}[{k}]") for k, part in enumerate(value)]
+    shapes = [np.shape(part) for part in parts]
+    if len(set(shapes)) > 1:
+        other = next(k for k, shape in enumerate(shapes) if shape != shapes[0])
+        raise ValueError(
+            f"{name} must have parts of one shape; {name}[0] has {shapes[0]}, but {name}[{other}] has {shapes[other]}."
+        )
     return jnp.stack(parts) if parts else jnp.zeros(0)
+
+
+def given_array(value: Any, name: str, what: str) -> Any:
+    """`as_array` of an argument that must be given; `what` it is stands in the message.
+
+    Raises `TypeError` for None, and as `as_array`.
+    """
+    if value is None:
+        raise TypeError(f"{name} is missing (None): give {what}.")
+    return as_array(value, name)
 
 
 def _check_is_array(value: Any, name: str) -> None:

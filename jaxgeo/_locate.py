@@ -18,7 +18,7 @@ from jaxgeo._arguments import (
     checked_observation,
     thrown,
 )
-from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._checks import as_array, as_float64, check_is, given_array
 from jaxgeo._compile import is_direct, quick_jit
 from jaxgeo._intersection import (
     FIRST_HIT,
@@ -157,7 +157,7 @@ def at_range(
     543.23 m above the ellipsoid
     """
     looked = checked_observation(sensor, shot, time, uv)
-    distance = as_float64(as_array(slant_range, "slant_range"), "slant_range")
+    distance = as_float64(given_array(slant_range, "slant_range", "the distance in m"), "slant_range")
     if distance.shape != ():
         raise ValueError(f"slant_range must be one number in m; got shape {distance.shape}. For many use jax.vmap.")
     return _at_range(*looked, distance, checked_air(atmosphere))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import jax
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo._checks import as_array, as_float64, check_finite, check_range, require_x64
+from jaxgeo._checks import as_array, as_float64, check_finite, check_range, given_array, require_x64
 from jaxgeo.earth import WGS84, Geodetic
 
 
@@ -111,11 +113,84 @@ def test_checks_let_tracers_pass():
                                r"\(given\['u'\], given\['v'\]\)\."),
         ({1.0, 2.0}, r"uv must be numbers; got set\. Give an array, or a list of numbers\."),
         ([1.0, {2.0}], r"uv\[1\] must be numbers; got set\."),
+        ([None, 2.0], r"uv\[0\] must be a number; got None\. Give all 2 values\."),
+        ([[1.0, 2.0], [3.0, None]], r"uv\[1\]\[1\] must be a number; got None"),
+        (np.array(["a", "b"]), r"uv must be numbers; got texts, such as 'a'\. Convert them first"),
     ],
 )  # fmt: skip
 def test_what_is_no_number_is_refused_in_words(uv: Any, said: str) -> None:
     with pytest.raises(TypeError, match=said):
         as_array(uv, "uv")
+
+
+@pytest.mark.parametrize(
+    "values, said",
+    [
+        (["a", "b"], "got texts, such as 'a'"),
+        ([b"a"], "got texts, such as b'a'"),
+        (np.array([None, 2.0]), "got an array of objects, such as None"),
+        ([True, False], "got truth values, such as True"),
+        (np.array(["2026-01-01"], "datetime64[D]"), "got dates, such as "),
+        (np.zeros(0, "U1"), "got texts"),
+    ],
+)
+def test_arrays_of_no_numbers_are_not_said_to_lose_metres(values: Any, said: str) -> None:
+    with pytest.raises(TypeError, match=f"^lat must be numbers; {said}") as refused:
+        as_float64(np.asarray(values), "lat")
+    assert "metres" not in str(refused.value)
+    with pytest.raises(TypeError, match=r"^point\['lat'\] must be numbers; "):
+        as_float64({"lat": np.asarray(values)}, "point")
+
+
+def test_rows_of_unlike_lengths_are_named() -> None:
+    with pytest.raises(
+        ValueError, match=r"^uv must have parts of one shape; uv\[0\] has \(2,\), but uv\[1\] has \(1,\)"
+    ):
+        as_array([[1.0, 2.0], [3.0]], "uv")
+
+
+def test_a_missing_argument_is_said() -> None:
+    with pytest.raises(TypeError, match=r"^uv is missing \(None\): give one pixel\.$"):
+        given_array(None, "uv", "one pixel")
+    assert given_array((1.0, 2.0), "uv", "one pixel").shape == (2,)
+
+
+CALLS = """
+import jax
+import numpy as np
+import jaxgeo
+jaxgeo.enable_x64()
+camera = jaxgeo.FrameCamera.from_pixels(focal_px=1000.0, width=1000, height=1000)
+sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=1600.0))
+level = jaxgeo.ConstantHeight(600.0)
+calls = {
+    "locate": lambda uv: jaxgeo.locate(sensor, shot, uv, level),
+    "accuracy": lambda uv: jaxgeo.accuracy(sensor, shot, uv, level, []),
+    "propagate": lambda uv: jaxgeo.propagate(sensor, shot, uv, level, []),
+    "sample": lambda uv: jaxgeo.sample(sensor, shot, uv, level, [], key=jax.random.key(0)),
+    "gsd": lambda uv: jaxgeo.coverage.ground_sample_distance(sensor, shot, uv, level),
+}
+for name, call in calls.items():
+    for uv in (None, [None, 2.0], np.array(["a", "b"])):
+        try:
+            call(uv)
+        except TypeError as error:
+            print(name, error)
+"""
+REFUSED = (
+    "uv is missing (None): give one pixel (column, row).",
+    "uv[0] must be a number; got None. Give all 2 values.",
+    "uv must be numbers; got texts, such as 'a'. Convert them first, as by np.asarray(x, np.float64).",
+)
+
+
+@pytest.mark.costly
+def test_pixels_that_are_none_are_refused_in_words() -> None:
+    """As users call the functions, without the type checks of the tests: in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", CALLS], capture_output=True, text=True, check=True)
+    names = ("locate", "accuracy", "propagate", "sample", "gsd")
+    assert done.stdout.splitlines() == [f"{name} {said}" for name in names for said in REFUSED]
 
 
 def test_the_values_of_a_dict_are_taken_as_the_message_has_them() -> None:

@@ -7,6 +7,7 @@ import io
 import json
 import pathlib
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pyogrio
@@ -616,12 +617,15 @@ def test_strips_have_forward_and_side_overlap(tmp_path: pathlib.Path, named: boo
     result = run("overlap", *given, "--strips", "--json", "-o", tmp_path / "out.csv")
     assert result.exit_code == 0, result.stderr
     content = json.loads(result.stdout)
-    assert [pair["strip"] for pair in content["pairs"]] == [1, 1, 1, 2, 2, 2]
+    first, second = ("A", "B") if named else (1, 2)
+    assert [pair["strip"] for pair in content["pairs"]] == [first] * 3 + [second] * 3
+    assert content["pairs"][0]["before"] == "s0i0"
     forward, back, side = content["strips"]
     for one in (forward, back):
         assert one["images"] == 4
         assert (one["least"], one["mean"]) == pytest.approx((1.0 - 250.0 / 800.0,) * 2, abs=5e-3)
-    assert (side["strip"], side["next_strip"]) == (1, 2)
+    assert (side["strip"], side["next_strip"]) == (first, second)
+    assert content["strips_without_side"] == {}
     assert side["spacing_m"] == pytest.approx(600.0, abs=5.0)
     assert (side["least"], side["mean"]) == pytest.approx((1.0 - side["spacing_m"] / 1000.0,) * 2, abs=2e-3)
     assert side["lon_deg"] == pytest.approx(-84.25 + 300.0 / STRIP_METRES[1], abs=1e-4)
@@ -638,7 +642,7 @@ def test_a_strip_of_which_an_image_sees_no_ground_is_named(tmp_path: pathlib.Pat
     content = json.loads(result.stdout)
     assert [one["kind"] for one in content["strips"]] == ["forward", "forward"]
     assert list(content["strips_without_side"]) == ["2"]
-    assert "strip 2: its side overlap is unknown: 5: " in result.stderr
+    assert "strip 2: its side overlap is unknown: s1i2: " in result.stderr
 
 
 def test_strips_that_are_none_are_refused(tmp_path: pathlib.Path, shots_file: pathlib.Path) -> None:
@@ -647,7 +651,91 @@ def test_strips_that_are_none_are_refused(tmp_path: pathlib.Path, shots_file: pa
     text = shots_file.read_text().splitlines()
     lines = [f"{text[0]},strip", *(f"{line},{name}" for line, name in zip(text[1:], "aab", strict=True))]
     shots_file.write_text("\n".join(lines) + "\n")
-    assert_refused(run("overlap", *given, "--strips"), "strip 2 has one image; a strip needs two or more")
+    assert_refused(run("overlap", *given, "--strips"), "strip b has one image; a strip needs two or more")
+
+
+def change_rows(given: tuple[str, ...], change: Callable[[list[list[str]]], list[list[str]]]) -> None:
+    """Change the rows, as cells, of the table of shots that is the file of the option --shots."""
+    path = pathlib.Path(given[given.index("--shots") + 1])
+    header, *rows = path.read_text().splitlines()
+    path.write_text(
+        "\n".join([header, *(",".join(cells) for cells in change([row.split(",") for row in rows]))]) + "\n"
+    )
+
+
+def displaced(rows: list[list[str]], strip: str, north: float, east: float, turn: bool = False) -> list[list[str]]:
+    """Rows of which those of a strip are displaced in m, and with `turn` lie one after the other to the east."""
+    found = []
+    for k, (name, lat, lon, height, heading, *rest) in enumerate(rows):
+        if rest[-1] == strip:
+            place = (36.3, -84.25 + 250.0 * k / STRIP_METRES[1]) if turn else (float(lat), float(lon))
+            lat, lon = f"{place[0] + north / STRIP_METRES[0]:.8f}", f"{place[1] + east / STRIP_METRES[1]:.8f}"
+            heading = "90" if turn else heading
+        found.append([name, lat, lon, height, heading, *rest])
+    return found
+
+
+def test_images_one_after_the_other_askew_are_said(tmp_path: pathlib.Path) -> None:
+    """From strip to strip, 600 m to the east and 500 m to the north."""
+    given = strips_scene(tmp_path)
+    change_rows(given, lambda rows: displaced([rows[0], [*rows[7][:4], "0", *rows[7][5:]]], "B", 500.0, 0.0))
+    result = run("overlap", *given)
+    assert "invalid_input: s0i0 and s1i0: the way from one image to the next is along neither side" in result.stderr
+    change_rows(given, lambda rows: displaced(rows, "B", -250.0, -600.0))
+    assert "is along neither side" not in run("overlap", *given).stderr
+
+
+@pytest.mark.parametrize("turn", [False, True])
+def test_strips_of_which_none_lie_side_by_side_are_said(tmp_path: pathlib.Path, turn: bool) -> None:
+    """One behind the other, and across each other."""
+    given = strips_scene(tmp_path, named=True)
+    change_rows(given, lambda rows: displaced(rows, "B", 0.0 if turn else 9000.0, 0.0, turn))
+    result = run("overlap", *given, "--strips", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert "no strips lie side by side" in result.stderr
+    content = json.loads(result.stdout)
+    assert [(row["kind"], row["strip"]) for row in content["strips"]] == [("forward", "A"), ("forward", "B")]
+    assert list(content["strips_without_side"]) == ["A", "B"]
+    assert all("no strips lie side by side" in why for why in content["strips_without_side"].values())
+
+
+def test_a_strip_across_two_others_is_said_to_have_no_side(tmp_path: pathlib.Path) -> None:
+    given = strips_scene(tmp_path, named=True)
+    more = lambda rows: [[f"c{k}", *row[1:-1], "C"] for k, row in enumerate(rows) if row[-1] == "B"]  # noqa: E731
+    change_rows(given, lambda rows: displaced([*rows, *more(rows)], "C", 0.0, -1000.0, turn=True))
+    result = run("overlap", *given, "--strips", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert "strip C: no other strip lies beside it" in result.stderr
+    assert list(json.loads(result.stdout)["strips_without_side"]) == ["C"]
+
+
+@pytest.mark.parametrize("empty", [[5], list(range(8))])
+def test_a_shot_without_a_strip_is_refused(tmp_path: pathlib.Path, empty: list[int]) -> None:
+    given = strips_scene(tmp_path, named=True)
+    change_rows(given, lambda rows: [[*row[:-1], "" if k in empty else row[-1]] for k, row in enumerate(rows)])
+    name = "s1i2" if empty == [5] else "s0i0"
+    result = run("overlap", *given, "--strips")
+    assert_refused(result, f"data row {empty[0] + 1} of --shots FILE (shot {name})", 'nothing in the column "strip"')
+
+
+def test_a_shot_under_the_wrong_strip_is_named(tmp_path: pathlib.Path) -> None:
+    given = strips_scene(tmp_path, named=True)
+    change_rows(given, lambda rows: [[*row[:-1], "B" if k == 1 else row[-1]] for k, row in enumerate(rows)])
+    result = run("overlap", *given, "--strips")
+    assert_refused(result, "the shots of strip B do not lie on a line: s0i1 is 5", "m off that of its neighbours")
+
+
+def test_shots_of_a_strip_are_put_in_order_of_flight(tmp_path: pathlib.Path) -> None:
+    """With the overlaps of the table in order."""
+    given = strips_scene(tmp_path, named=True)
+    change_rows(given, lambda rows: [rows[k] for k in (1, 4, 0, 7, 2, 5, 3, 6)])
+    result = run("overlap", *given, "--strips", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert "strip A: its shots are not in order of flight" in result.stderr
+    content = json.loads(result.stdout)
+    assert [one["before"] for one in content["pairs"]][:3] == ["s0i0", "s0i1", "s0i2"]
+    for one in content["strips"][:2]:
+        assert one["least"] == pytest.approx(1.0 - 250.0 / 800.0, abs=5e-3)
 
 
 @pytest.mark.costly

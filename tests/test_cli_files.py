@@ -278,6 +278,11 @@ def test_classes_of_yolo_have_their_names(here: pathlib.Path) -> None:
     plain, named = done(*line), done(*line, "--class-names", "data.yaml")
     assert [one["label"] for one in plain["fixes"]] == ["2", "0"]
     assert [one["label"] for one in named["fixes"]] == ["car", "hut"]
+    assert not any("no name in" in one for one in named["assumed"])
+    pathlib.Path("data.yaml").write_text("names: [hut, car]\n")
+    short = done(*line, "--class-names", "data.yaml")
+    assert [one["label"] for one in short["fixes"]] == ["2", "hut"]
+    assert sum("Class 2 has no name in data.yaml" in one for one in short["assumed"]) == 1
 
 
 @pytest.mark.costly

@@ -147,11 +147,8 @@ class ExposureOptions(OptionGroup):
         if self.shots is None:
             return [GivenExposure(path.name, scene.sensor, shot_of(scene, path, needed_by), scene.atmosphere)]
         batch, rows = shots_of(scene, path, self.shots, height_datum)
-        each = zip(single(batch), rows, strict=True)
-        return [
-            GivenExposure(str(index), scene.sensor, shot, scene.atmosphere, cells)
-            for index, (shot, cells) in enumerate(each)
-        ]
+        each = zip(_names_of(rows), single(batch), rows, strict=True)
+        return [GivenExposure(name, scene.sensor, shot, scene.atmosphere, cells) for name, shot, cells in each]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -162,6 +159,12 @@ class ExposureOrShotOptions(ExposureOptions):
         pathlib.Path | None,
         typer.Option("--shots", metavar="FILE", help="With --scene: CSV with a shot per row."),
     ] = None
+
+
+def _names_of(rows: list[dict[str, Any]]) -> list[str]:
+    """Names of shots: those of a column `name` in which each has one of its own, else their numbers from 0."""
+    names = [f"{row.get('name') or ''}".strip() for row in rows]
+    return names if all(names) and len(set(names)) == len(names) else [str(index) for index in range(len(rows))]
 
 
 def _in_order(observed: Observations) -> list[GivenExposure]:

@@ -169,7 +169,7 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
     from jaxgeo.io import read_observations
     from jaxgeo.io.acquisitions.several import files_of
     from jaxgeo.io.detected import observations_of_detections
-    from jaxgeo.io.detections import read_detections
+    from jaxgeo.io.detections import nameless_classes, read_detections
 
     given = options.of_images
     detections = None
@@ -177,6 +177,7 @@ def _observations(options: LocateOptions) -> tuple[jaxgeo.io.Observations, list[
         detections = read_detections(
             given.detections, pixel_origin=given.pixel_origin or "centre", class_names=given.class_names
         )
+        print_assumed(nameless_classes(detections, given.detections, given.class_names))
     form = "COLUMN,ROW, two numbers, e.g. --pixel 100,200"
     with reading_files(options.files or [pathlib.Path(f"{given.scene}")]) as progress:
         found = read_observations(

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 COLUMN = "strip"  # of a table of shots
 COLUMNS = {
     "kind": ("overlap", ""),
-    "strip": ("strip", "d"),
-    "next_strip": ("next", "d"),
+    "strip": ("strip", ""),
+    "next_strip": ("next", ""),
     "images": ("images", "d"),
     "least": ("least", ".4f"),
     "mean": ("mean", ".4f"),
@@ -33,41 +33,73 @@ CAPTION = (
     "for a gap; least at: images, and for side overlap the place; spacing: between the middles of both strips"
 )
 DECIMALS = {"least": 6, "mean": 6, "spacing_m": 3, "lat_deg": 8, "lon_deg": 8}
-Strips = dict[int, list[GivenExposure]]
+NEEDED = "parallel to 30 deg, with a length of the flight in common"
+NO_NEIGHBOURS = f"no strips lie side by side ({NEEDED}), so there is no side overlap"
+NO_NEIGHBOUR = f"no other strip lies beside it ({NEEDED}), so it has no side overlap"
+Strips = dict[int | str, list[GivenExposure]]
 
 
 def strips_of(images: Sequence[GivenExposure]) -> Strips:
-    """The images of each strip by number from 1: by the column `strip` of a table of shots, else by their courses.
+    """The images of each strip in order of flight: by the names in the column `strip` of a table of shots, else by
+    their courses, numbered from 1.
 
-    Raises `UserError` for fewer than two strips, and for a strip of a single image.
+    Raises `UserError` for fewer than two strips, a strip of a single image, rows without a name, and a strip whose
+    shots do not lie on a line.
     """
-    from jaxgeo.coverage import split_strips
-
-    cells = [one.cells.get(COLUMN) for one in images]
-    if all(cell not in (None, "", "nan") for cell in cells):
-        names = list(dict.fromkeys(f"{cell}".strip() for cell in cells))
-        strips = {
-            number: [one for one, cell in zip(images, cells, strict=True) if f"{cell}".strip() == name]
-            for number, name in enumerate(names, 1)
-        }
-    else:
-        found = split_strips([one.shot for one in images])
-        strips = {number: [images[k] for k in own.tolist()] for number, own in enumerate(found, 1)}
-        outside = len(images) - sum(len(own) for own in found)
-        if outside:
-            print_note(f"strips: {outside} of {len(images)} images are in a turn between strips, and left out.")
+    strips = _named_strips(images) if any(COLUMN in one.cells for one in images) else _strips_by_course(images)
     if len(strips) < 2:
         raise UserError(
             f"--strips: the course of the {len(images)} images is that of one strip; side overlap needs two or more. "
             f'Name them in a column "{COLUMN}" of --shots FILE, or leave --strips out.'
         )
-    alone = next((number for number, own in strips.items() if len(own) < 2), None)
+    alone = next((name for name, own in strips.items() if len(own) < 2), None)
     if alone is not None:
         raise UserError(f"--strips: strip {alone} has one image; a strip needs two or more to have a course.")
+    if any(COLUMN in one.cells for one in images):
+        return {name: _along_course(name, own) for name, own in strips.items()}
     return strips
 
 
-def forward_row(number: int, rows: Sequence[dict[str, Any]], means: Sequence[float]) -> dict[str, Any]:
+def _named_strips(images: Sequence[GivenExposure]) -> Strips:
+    strips: Strips = {}
+    for row, one in enumerate(images, 1):
+        name = f"{'' if one.cells.get(COLUMN) is None else one.cells[COLUMN]}".strip()
+        if name.lower() in ("", "nan"):
+            raise UserError(
+                f'--strips: data row {row} of --shots FILE (shot {one.name}) has nothing in the column "{COLUMN}". '
+                f"Name its strip, remove the row, or leave the column out to tell strips apart by their courses."
+            )
+        strips.setdefault(name, []).append(one)
+    return strips
+
+
+def _strips_by_course(images: Sequence[GivenExposure]) -> Strips:
+    from jaxgeo.coverage import split_strips
+
+    found = split_strips([one.shot for one in images])
+    outside = len(images) - sum(len(own) for own in found)
+    if outside:
+        print_note(f"strips: {outside} of {len(images)} images are in a turn between strips, and left out.")
+    return {number: [images[k] for k in own.tolist()] for number, own in enumerate(found, 1)}
+
+
+def _along_course(name: int | str, own: list[GivenExposure]) -> list[GivenExposure]:
+    """The images of a strip in order of flight. Raises `UserError` if they do not lie on a line."""
+    from jaxgeo.coverage._strip_order import NotOnLine, strip_order
+
+    try:
+        order = strip_order([one.shot for one in own])
+    except NotOnLine as error:
+        raise UserError(
+            f"--strips: the shots of strip {name} do not lie on a line: {own[error.index].name} is {error.off:.0f} m "
+            f'off that of its neighbours. Correct its name in the column "{COLUMN}", or give it a strip per line.'
+        ) from error
+    if order != sorted(order):
+        print_note(f"strip {name}: its shots are not in order of flight, and are put in order along their line.")
+    return [own[k] for k in order]
+
+
+def forward_row(number: int | str, rows: Sequence[dict[str, Any]], means: Sequence[float]) -> dict[str, Any]:
     """The forward overlap of a strip from the rows of its pairs, and the mean of each."""
     known = [row for row in rows if row["least"] is not None]
     worst = min(known, key=lambda row: row["least"]) if known else None
@@ -87,8 +119,8 @@ def forward_row(number: int, rows: Sequence[dict[str, Any]], means: Sequence[flo
     }
 
 
-def side_rows(strips: Strips, terrain: Any) -> tuple[list[dict[str, Any]], dict[int, str]]:
-    """(rows of neighbouring strips, why others have no outline, by number, which is printed on stderr)."""
+def side_rows(strips: Strips, terrain: Any) -> tuple[list[dict[str, Any]], dict[int | str, str]]:
+    """(rows of neighbouring strips, why others have none, by strip, which is printed on stderr)."""
     from jaxgeo.coverage import SeesNoGround, local_projection, neighbouring_strips, side_overlap, strip_outline
 
     first = next(iter(strips.values()))[0]
@@ -118,7 +150,19 @@ def side_rows(strips: Strips, terrain: Any) -> tuple[list[dict[str, Any]], dict[
                 f"strips {one} and {other}: {share:.3g} % of their common length has no image of one of them, because "
                 f"of a gap along the flight."
             )
-    return rows, unknown
+    return rows, unknown or _without_neighbour(strips, rows)
+
+
+def _without_neighbour(strips: Strips, rows: Sequence[dict[str, Any]]) -> dict[int | str, str]:
+    """Why strips with an outline are in none of the rows of neighbouring strips, which is printed on stderr."""
+    if not rows:
+        print_note(f"{NO_NEIGHBOURS}.")
+        return dict.fromkeys(strips, NO_NEIGHBOURS)
+    beside = {row[one] for row in rows for one in ("strip", "next_strip")}
+    alone: dict[int | str, str] = dict.fromkeys((name for name in strips if name not in beside), NO_NEIGHBOUR)
+    for name, why in alone.items():
+        print_note(f"strip {name}: {why}.")
+    return alone
 
 
 def _named(error: ValueError, own: Sequence[GivenExposure]) -> str:
@@ -127,7 +171,7 @@ def _named(error: ValueError, own: Sequence[GivenExposure]) -> str:
     return f"{own[int(index)].name}: {said}"
 
 
-def _side_row(pair: tuple[int, int], strips: Strips, found: SideOverlap) -> dict[str, Any]:
+def _side_row(pair: tuple[int | str, int | str], strips: Strips, found: SideOverlap) -> dict[str, Any]:
     where = found.where_least
     lat, lon = np.rad2deg(found.places[where]).tolist()
     before, after = found.images[where].tolist()
@@ -200,8 +244,8 @@ Overlaps = Callable[[Sequence[GivenExposure], list[float]], list[dict[str, Any]]
 
 def strip_rows(
     strips: Strips, terrain: Any, overlaps: Overlaps
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]], dict[int, str]]:
-    """(rows of strips and of their sides; pairs of images in strips, with its number; strips without a side)."""
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]], dict[int | str, str]]:
+    """(rows of strips and of their sides; pairs of images in strips, with its name; strips without a side)."""
     pairs, forward = [], []
     for number, own in strips.items():
         means: list[float] = []

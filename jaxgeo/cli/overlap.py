@@ -48,6 +48,7 @@ CAPTION = (
     "side: cross-track overlap, as a share of its width; area: share of its area"
 )
 HIT, TURNED, APART = "hit", "images_turned", "images_apart"
+ASKEW = "invalid_input"  # of pairs of which one edge is not ahead of the other
 MOST_NAMED = 5  # images named in the message on partial ground
 ANSWERS = HIT, TURNED
 BOTH = "Both footprints are complete and overlap."
@@ -124,6 +125,7 @@ def overlap_command(
                 found = rows = _overlaps(images.exposures, terrain, axis)
                 partial = _partial(rows, images.exposures, terrain)
             _count(rows)
+            _print_askew(rows)
             _print_partial(partial)
             if output is not None or not as_json:
                 _write(found, chosen, stream, strips)
@@ -261,6 +263,18 @@ def _print_partial(partial: dict[str, dict[str, float]]) -> None:
 def _count(rows: list[dict[str, Any]]) -> None:
     names = [row["status"] for row in rows]
     print_counts({name: names.count(name) for name in names}, len(names), "pair", BOTH)
+
+
+def _print_askew(rows: list[dict[str, Any]]) -> None:
+    """Say which pairs have no overlap along the flight because the way from one to the other is askew to both."""
+    pairs = [f"{row['before']} and {row['after']}" for row in rows if row["status"] == ASKEW]
+    if pairs:
+        more = f", and {len(pairs) - MOST_NAMED} more pairs" if len(pairs) > MOST_NAMED else ""
+        print_note(
+            f"{ASKEW}: {', '.join(pairs[:MOST_NAMED])}{more}: the way from one image to the next is along neither "
+            f"side of them, as from strip to strip, or --along is the wrong axis; so no overlap along the flight is "
+            f"known."
+        )
 
 
 def _write(rows: list[dict[str, Any]], output_format: Format, stream: Any, are_strips: bool) -> None:

@@ -116,7 +116,7 @@ def split_strips(images: Sequence[Image]) -> list[np.ndarray]:
     if len(images) < 2:
         return []
     projection = local_projection(images[0])
-    places = np.array([np.asarray(_platform(image, projection)) for image in images])
+    places = np.array([np.asarray(place_on_map(image, projection)) for image in images])
     steps = np.diff(places, axis=0)
     runs: list[list[int]] = []  # numbers of steps
     for k, step in enumerate(steps):
@@ -178,7 +178,8 @@ def strip_outline(
 
 
 @quick_filter_jit
-def _platform(image: Image, projection: TransverseMercator) -> Float[Array, "2"]:
+def place_on_map(image: Image, projection: TransverseMercator) -> Float[Array, "2"]:
+    """Easting and northing in m of the platform of an image on a map."""
     return on_map(projection, platform_ecef(image))
 
 

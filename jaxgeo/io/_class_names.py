@@ -65,6 +65,8 @@ def _named(path: pathlib.Path, content: dict[Any, Any]) -> dict[int, str]:
                 f"{path}: class {number} is called {shown(name)}; expected a name (in quotes, if need be)."
             )
         found[number] = str(name).strip()
-    if isinstance(count, int) and not isinstance(count, bool) and count != len(found):
+    if count is not None and (not isinstance(count, int) or isinstance(count, bool) or count < 1):
+        raise TableError(f"{path}: nc is {shown(count)}; expected the number of classes, {len(found)}, or no nc.")
+    if count is not None and count != len(found):
         raise TableError(f"{path}: nc is {count}, but there are {len(found)} names; give the file of these detections.")
     return found

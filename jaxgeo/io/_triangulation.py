@@ -31,6 +31,7 @@ from jaxgeo.io.errors import TableError
 PATB, BINGO = "PAT-B", "BINGO"
 HEADER = ("image", "x_m", "y_m", "z_m", "omega_deg", "phi_deg", "kappa_deg")
 FIRST = 65_536  # characters looked at for the program
+FIRST_LINES = 60  # at which a record of PAT-B is looked for
 ORIA = "ORIA"  # begins BINGO's record of an orientation
 ELEMENT = 1.0 + 1e-3  # largest element of a rotation matrix, rounded
 HALF_TURN = 200.0  # gon
@@ -53,17 +54,43 @@ def program_of(text: str) -> str | None:
     lines = _lines(text)
     if any(words[0].upper() == ORIA and len(words) >= 8 and numbers_in(words[2:8]) for _, words in lines):
         return BINGO
-    if not lines or not _is_first_record(lines[0][1]):
-        return None
+    if lines and _begins_with_patb(lines):
+        return PATB
+    starts = range(min(len(lines), FIRST_LINES))
+    return PATB if any(_is_whole_record(lines[k : k + 4]) for k in starts) else None
+
+
+def _begins_with_patb(lines: list[Line]) -> bool:
+    """Whether the first lines are PAT-B's of an image, perhaps cut off or with a number that is damaged or missing."""
+    if not _is_first_record(lines[0][1]):
+        return False
     elements: list[float] = []
     for _, words in lines[1:4]:
         numbers = numbers_in(words)
         if numbers is None or max(map(abs, numbers)) > ELEMENT:
-            return PATB if len(elements) == 5 else None  # a damaged second line
+            return len(elements) == 5  # a damaged second line
         elements += numbers
         if len(elements) >= 9:
             break
-    return PATB if len(elements) in (3, 5, 6, 9) else None  # fewer than 9: the file was cut off
+    if len(elements) in (3, 5, 6, 9):  # fewer than 9: the file was cut off
+        return True
+    position = numbers_in(lines[0][1][-3:]) or [0.0]  # of one image, whose matrix lacks an element or two
+    return len(lines) == 3 and len(elements) in (7, 8) and max(map(abs, position)) > ELEMENT
+
+
+def _is_whole_record(lines: list[Line]) -> bool:
+    """Whether lines begin with PAT-B's of an image, whose matrix is a rotation: one in the file is enough, as records
+    before it may lack a number."""
+    if len(lines) < 3 or not _is_first_record(lines[0][1]):
+        return False
+    elements: list[float] = []
+    for _, words in lines[1:]:
+        if len(elements) < 9:
+            elements += numbers_in(words) or [np.inf]
+    if len(elements) != 9 or max(map(abs, elements)) > ELEMENT:
+        return False
+    R = np.reshape(elements, (3, 3))
+    return bool(np.max(np.abs(R @ R.T - np.eye(3))) < ELEMENT - 1.0)
 
 
 def read_triangulation(path: str | os.PathLike[str], what: str) -> Columns | None:
@@ -96,8 +123,10 @@ def _of_patb(path: object, lines: list[Line]) -> tuple[list[Record], tuple[str, 
     while k < len(lines):
         row, words = lines[k]
         if not _is_first_record(words):
-            raise TableError(f"{path}, row {row}: expected an image, X, Y and Z, with a focal length before X or not; "
-                             f"got {shown(' '.join(words)[:80])}.")  # fmt: skip
+            raise TableError(
+                f"{path}, row {row}: PAT-B: expected an image, X, Y and Z, with a focal length before X or not; got "
+                f"{shown(' '.join(words)[:80])}."
+            )
         elements: list[float] = []
         k += 1
         while len(elements) < 9:
@@ -106,9 +135,12 @@ def _of_patb(path: object, lines: list[Line]) -> tuple[list[Record], tuple[str, 
                                  f"copy or export it again.")  # fmt: skip
             at, cells = lines[k]
             more = numbers_in(cells)
-            if more is None or len(elements) + len(more) > 9:
-                raise TableError(f"{path}, row {at}: expected {9 - len(elements)} more elements of the rotation matrix "
-                                 f"of image {words[0]} (row {row}); got {shown(' '.join(cells)[:80])}.")  # fmt: skip
+            is_next = more is not None and _is_first_record(cells) and max(map(abs, more)) > ELEMENT
+            if more is None or is_next or len(elements) + len(more) > 9:
+                raise TableError(
+                    f"{path}, row {at}: PAT-B: expected {9 - len(elements)} more elements of the rotation matrix of "
+                    f"image {words[0]} (row {row}); got {shown(' '.join(cells)[:80])}."
+                )
             elements += more
             k += 1
         R = rotation_near(f"{path}, row {row}, rotation matrix of image {words[0]}", np.reshape(elements, (3, 3)))

@@ -31,6 +31,7 @@ from jaxgeo.io._class_names import class_names as named
 from jaxgeo.io._csv import Limits, check_not_shares, read_csv
 from jaxgeo.io._json import read_json
 from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions.sentences import DOUBT
 from jaxgeo.io.errors import TableError
 
 ORIGINS = {"centre": 0.0, "corner": 0.5}  # pixels from the first pixel's centre back to the origin
@@ -132,6 +133,28 @@ def read_detections(
     if not found:
         raise TableError(f"{source}: there are no detections in it.")
     return found
+
+
+def nameless_classes(
+    detections: Sequence[Detection], path: str | os.PathLike[str], class_names: str | os.PathLike[str] | None = None
+) -> list[str]:
+    """[a sentence on classes of YOLO detections that have no name], or []: where others of the data set have names.
+
+    Arguments as of `read_detections`, which read the detections. Raises as that.
+    """
+    folder = pathlib.Path(path)
+    names = set(named(folder, class_names).values()) - {""} if folder.is_dir() else set()
+    labels = {str(one.attributes["label"]) for one in detections} - names if names else set()
+    if not labels:
+        return []
+    kept = sorted(labels, key=lambda label: (len(label), label))
+    of = f"{class_names}" if class_names is not None else "the file of names beside the detections"
+    are = "Class {} has" if len(kept) == 1 else "Classes {} have"
+    count = sum(str(one.attributes["label"]) in labels for one in detections)
+    return [
+        f"{DOUBT}{are.format(', '.join(kept))} no name in {of}, which names {len(names)}: {count} of "
+        f"{len(detections)} detections keep the number as label. Give the names of the data set of these detections."
+    ]
 
 
 def _box(corners: Sequence[float]) -> np.ndarray:

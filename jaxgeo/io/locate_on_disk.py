@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._arguments import UNIT_TOLERANCE, checked_exposure
-from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._checks import as_array, as_float64, check_is, given_array
 from jaxgeo._locate import intersect
 from jaxgeo.earth import Geodetic
 from jaxgeo.earth.ray import Ray
@@ -79,7 +79,7 @@ def locate_files(
     `intersect_files`.
     """
     moving = checked_exposure(sensor, shot, time)
-    pixels = as_float64(as_array(uv, "uv"), "uv")
+    pixels = as_float64(given_array(uv, "uv", "the pixels (column, row)"), "uv")
     if pixels.shape[-1:] != (2,):
         raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
     rays, status = lines_of_sight(*moving, np.asarray(pixels).reshape(-1, 2))

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._checks import as_array
+from jaxgeo._checks import given_array
 from jaxgeo._locate import locate
 from jaxgeo.earth import Atmosphere
 from jaxgeo.fix import Fix
@@ -85,7 +85,7 @@ class ReportData:
         `in_axes` as for `accuracy`. Raises as `locate` and `accuracy`, and `ValueError` if the
         number of labels differs.
         """
-        uv = np.atleast_2d(np.asarray(as_array(uv, "uv"), np.float64))
+        uv = np.atleast_2d(np.asarray(given_array(uv, "uv", "the pixels (column, row)"), np.float64))
         if labels and len(labels) != len(uv):
             raise ValueError(f"labels must be one for each of {len(uv)} pixels; got {len(labels)}.")
         found = None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgeo._checks import as_array
+from jaxgeo._checks import given_array
 from jaxgeo._renamed import warn_renamed
 from jaxgeo.observation import Observation
 from jaxgeo.uncertainty._accuracy import accuracy
@@ -32,7 +32,7 @@ def accuracy_of_pixels(*given: Any, **options: Any) -> Accuracy:
         given = (dataclasses.replace(observation, uv=np.asarray(observation.uv)[None]), *rest)
     else:
         sensor, shot, uv, *rest = given
-        given = (sensor, shot, np.asarray(as_array(uv, "uv"))[None], *rest)
+        given = (sensor, shot, np.asarray(given_array(uv, "uv", "the pixels (column, row)"))[None], *rest)
     return accuracy(*given, **_with_sampling(options))[0]
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo._checks import as_array, as_float64, is_known
+from jaxgeo._checks import as_float64, given_array, is_known
 from jaxgeo._compile import ROWS, batch_filter_jit, maps_in_blocks
 from jaxgeo._intersection import FIRST_HIT
 from jaxgeo._typing import Scalar
@@ -115,7 +115,7 @@ def check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -
     """(the arguments in float64 with their axes, number of exposures); the first exposure is checked as alone."""
     sensor, shot, uv, terrain, errors, time, air = given
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(_as_tuple(errors))
-    pixels = jnp.asarray(as_float64(as_array(uv, "uv"), "uv"))
+    pixels = jnp.asarray(as_float64(given_array(uv, "uv", "the pixels (column, row)"), "uv"))
     axes = in_axes if len(in_axes) != 3 else (*in_axes[:1] * 3, *in_axes[1:])
     if len(axes) != OWN_AXES or not all(axis in (0, None) for axis in axes):
         raise ValueError(

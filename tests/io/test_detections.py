@@ -16,7 +16,7 @@ from support.drone_image_files import FULL, packet, write_image
 import jaxgeo
 from jaxgeo.io import locate_observations, read_observations
 from jaxgeo.io.detected import observations_of_detections, outline_observations, outlines_on_ground
-from jaxgeo.io.detections import Detection, read_detections
+from jaxgeo.io.detections import Detection, nameless_classes, read_detections
 from jaxgeo.io.errors import TableError
 from jaxgeo.status import Status
 
@@ -129,6 +129,23 @@ def test_names_that_are_given_replace_those_beside(tmp_path: pathlib.Path) -> No
     assert [one.attributes["label"] for one in read_detections(folder)] == ["0", "2"]
 
 
+def test_classes_without_a_name_are_said(tmp_path: pathlib.Path) -> None:
+    """Classes 0 and 2 are there; without any names nothing is amiss."""
+    folder = tmp_path / "labels"
+    folder.mkdir()
+    write(folder, "a.txt", SEVERAL)
+    found = read_detections(folder)
+    assert nameless_classes(found, folder) == []
+    given = write(tmp_path, "names.yaml", "names: [roof, road]\n")
+    (said,) = nameless_classes(read_detections(folder, class_names=given), folder, given)
+    assert said.startswith(f"Check: Class 2 has no name in {given}, which names 2: 1 of 2 detections keep the number")
+    write(folder, "classes.txt", "\n\n\ntree\n")
+    (said,) = nameless_classes(read_detections(folder), folder)
+    assert said.startswith("Check: Classes 0, 2 have no name in the file of names beside the detections, which names 1")
+    write(folder, "classes.txt", "hut\ntent\ntree\n")
+    assert nameless_classes(read_detections(folder), folder) == []
+
+
 @pytest.mark.parametrize(
     "content, words",
     [
@@ -140,6 +157,9 @@ def test_names_that_are_given_replace_those_beside(tmp_path: pathlib.Path) -> No
         ("names: [car, [tree]]\n", r"class 1 is called \['tree'\]; expected a name"),
         ("names: [car, no]\n", r"class 1 is called False; expected a name \(in quotes, if need be\)"),
         ("nc: 3\nnames: [car, tree]\n", "nc is 3, but there are 2 names; give the file of these detections"),
+        ("nc: three\nnames: [car, tree]\n", "nc is 'three'; expected the number of classes, 2, or no nc"),
+        ("nc: 2.5\nnames: [car, tree]\n", "nc is 2.5; expected the number of classes"),
+        ("nc: yes\nnames: [car]\n", "nc is True; expected the number of classes, 1"),
         ("names: [car\n", "not a YAML file"),
         ("names: [car]\nnames: [tree]\n", "'names' stands twice in one table"),
     ],

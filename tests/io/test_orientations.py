@@ -390,7 +390,7 @@ def test_angles_in_other_units(table, unit: str, factor: float, names: str, crs:
 
 
 def strips(kappas: np.ndarray, tilt: float) -> str:
-    """Twelve images of a block: kappas, and omega and phi drawn with a standard deviation."""
+    """Images of a block: kappas, and omega and phi drawn with a standard deviation."""
     small = np.random.default_rng(7).normal(0.0, tilt, (len(kappas), 2))
     rows = (
         f"{k},{292710 + 50 * k},2731048,186.4,{omega:.6f},{phi:.6f},{kappa:.6f}"
@@ -414,7 +414,15 @@ ONE_WAY = np.array([-2.9, 1.3, 0.4, 2.2, -1.1, 0.7, -0.3, 3.0, -2.0, 1.7, 0.1, -
         (np.rad2deg(TO_AND_FRO), 1.5, False),
         (ONE_WAY, 1.5, False),
         (np.full(12, 0.4), 1.5, False),
-        (TO_AND_FRO[::3], 0.03, False),  # too few to tell
+        (TO_AND_FRO[::3], 0.03, True),
+        (TO_AND_FRO[:3:2], 0.03, False),  # too few to tell
+        (np.repeat([1.5708, -1.5708], 3), 0.03, True),
+        (np.full(3, 1.5708), 0.03, True),
+        (np.linspace(-0.02, 0.03, 10), 0.003, True),  # one strip to the north
+        (np.linspace(-0.02, 0.03, 10), 0.0, False),  # planned images, level to the last digit
+        (TO_AND_FRO[::3], 1.5, False),  # tilted by degrees
+        (np.linspace(-3.0, 3.0, 8), 1.5, False),  # deg, of a strip to the north
+        (np.linspace(-3.0, 3.0, 8), 0.03, False),  # deg, with a camera held level
     ],
 )
 def test_radians_taken_for_degrees_are_doubtful(table, kappas: np.ndarray, tilt: float, doubtful: bool) -> None:

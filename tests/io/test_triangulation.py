@@ -131,6 +131,29 @@ def test_the_ground_point_is_found_on_the_command_line(tmp_path: pathlib.Path) -
     np.testing.assert_allclose([x, y], GROUND[:2], atol=0.01)  # m
 
 
+def test_the_examples_of_the_guide_are_one_image(tmp_path: pathlib.Path) -> None:
+    """Both, as printed, have the pose of omega 0.35, phi -0.3, kappa 91.2 deg."""
+    text = (pathlib.Path(__file__).parents[2] / "docs/howto/navigation.md").read_text(encoding="utf-8")
+    blocks = [block.partition("```")[0] for block in text.split("```text\n")[1:]]
+    sensors: list[np.ndarray] = []
+    for block in [one for one in blocks if one.split()[0] in ("101", "ORIA")]:
+        path = tmp_path / f"{len(sensors)}.ori"
+        path.write_text(block, encoding="utf-8")
+        found = read_acquisition(path, height_datum="ellipsoid", crs=UTM, cameras=CAMERA)
+        parts: Any = found.exposure(0)
+        sensor, shot, _ = parts
+        sensors.append(np.asarray(sensor.R_ned_from_camera(shot)))
+    assert len(sensors) == 2
+    to_earth = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True)
+    turn = pyproj.Proj(UTM).get_factors(*to_earth.transform(*CENTRE[:2])).meridian_convergence
+    map_axes = Rotation.from_euler("z", turn, degrees=True).as_matrix().T  # to east, north and up
+    R_enu_from_image = map_axes @ matrix(0.35, -0.3, 91.2)
+    R_ned_from_enu = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    expected = R_ned_from_enu @ R_enu_from_image @ np.diag([1.0, -1.0, -1.0])  # of right, down and forward
+    for one in sensors:
+        np.testing.assert_allclose(one, expected, atol=2e-7)
+
+
 def test_positions_of_images_come_from_the_same_files(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "block.ori"
     path.write_text(patb(), encoding="utf-8")
@@ -149,23 +172,51 @@ def test_a_damaged_file_does_not_stop_the_others(tmp_path: pathlib.Path) -> None
     assert [one.name.endswith("bad.ori") for one in several.unread] == [True]
 
 
+def without(line: int, word: int, records: str | None = None) -> str:
+    """Records of PAT-B without a number, by its line and place in it."""
+    lines = (patb() if records is None else records).splitlines()
+    words = lines[line].split()
+    lines[line] = "  ".join(words[:word] + words[word + 1 :])
+    return "\n".join(lines) + "\n"
+
+
+ONE = {"a": matrix(1.25, -2.5, 31.0)}
+NUMBERED = patb(rows={"1": ONE["a"], "2": ONE["a"]})
 MIRRORED = {"a": np.diag([1.0, 1.0, -1.0])}
 REFUSED: dict[str, tuple[str, str]] = {
     "cut": ("\n".join(patb().splitlines()[:-1]), r"ends within the rotation matrix of image oblique \(row 7\); copy"),
     "not a number": (
         patb().replace("0.", "O.", 24).replace("O.", "0.", 20),
-        "expected . more elements of the rotation matrix",
+        "PAT-B: expected . more elements of the rotation matrix",
     ),
     "more elements": (
         "\n".join([*patb().splitlines()[:4], patb().splitlines()[1], *patb().splitlines()[4:]]),
-        "row 6: expected 4 more elements of the rotation matrix of image DSC_0102.JPG",
+        "row 6: PAT-B: expected 4 more elements of the rotation matrix of image DSC_0102.JPG",
     ),
     "a mirror": (patb(rows=MIRRORED), "row 1, rotation matrix of image a: it is no rotation"),
     "rounded too far": (
         patb(rows={"a": np.round(matrix(1.25, -2.5, 31.0), 2)}),
         "row 1, rotation matrix of image a: it is no rotation",
     ),
-    "no position": (patb() + "  103  751000.0  4020000.0\n", "row 10: expected an image, X, Y and Z"),
+    "an element of the first image": (
+        without(1, 4),
+        "row 4: PAT-B: expected 1 more elements of the rotation matrix of image 101 \\(row 1\\); got 'DSC_0102.JPG 75",
+    ),
+    "an element of the second line": (without(2, 0), "row 4: PAT-B: expected 1 more elements of the rotation matrix"),
+    "a line of elements": (
+        patb().replace(patb().splitlines()[2] + "\n", "", 1),
+        "row 3: PAT-B: expected 4 more elements of the rotation matrix of image 101",
+    ),
+    "the long line of a numbered image": (
+        "\n".join(line for k, line in enumerate(NUMBERED.splitlines()) if k != 1) + "\n",
+        "row 3: PAT-B: expected 5 more elements of the rotation matrix of image 1",
+    ),
+    "a coordinate of the first image": (without(0, 3), "row 1: PAT-B: expected an image, X, Y and Z.*; got '101 751"),
+    "an element of the only image": (
+        without(1, 2, patb(rows=ONE)),
+        r"ends within the rotation matrix of image a \(row 1\)",
+    ),
+    "no position": (patb() + "  103  751000.0  4020000.0\n", "row 10: PAT-B: expected an image, X, Y and Z"),
     "twice": (patb() + patb(), r"rows 1 and 10: image 101 is there twice"),
     "oria cut": (bingo() + "ORIA 103 751000.0 4020000.0 2900.0 1.0\n", "row 7: expected ORIA, an image, X, Y, Z, phi"),
     "oria in words": (bingo() + "ORIA 103 a b c d e f g\n", "row 7: expected ORIA"),
