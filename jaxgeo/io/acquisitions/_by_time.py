@@ -47,8 +47,8 @@ def at_times(found: Acquisition, times: Times) -> Acquisition:
 
     Position and angles are interpolated linearly between the two records around a time, if these are at most 2 s
     apart, of cameras mounted alike, and turned by less than 20 deg; else they are those of the nearest record. All
-    else, such as the focal length, is the nearest record's. Sentences say which, and why. Raises `TableError` for records without times, a time outside their range,
-    and a text that is no time.
+    else, such as the focal length, is the nearest record's. Sentences say which, and why. Raises `TableError` for
+    records without times, a time outside their range, and a text that is no time.
     """
     clock = np.asarray(found.shots.time, np.float64)
     if not np.any(clock) or (np.any(clock == 0.0) and np.ptp(clock) > 1e8):  # zero where it is unknown
