@@ -20,6 +20,7 @@ PLACES = {
     "orientations": "43.7",
     "orientations in a map": "292710.2",
     "orientations of other programs": "751000.12",
+    "orientations of aerial triangulation": "292710.20000",
     "cameras of Metashape": "277.5",
     "subtitles of DJI": "8.25",
     "flight log of AirData": "47.1",
