@@ -73,7 +73,7 @@ def here() -> Strip:
     return shown(strip(seed=1), plain, 1)
 
 
-def check_honest(here: Strip, ties: Ties, least: int, worst_px: float) -> None:
+def check_errors_as_stated(here: Strip, ties: Ties, least: int, worst_px: float) -> None:
     """Errors of the matches are as stated, and so are those of the poses."""
     assert ties.observations is not None
     off, variance = off_true_rays(here, ties.observations)
@@ -90,21 +90,21 @@ def check_honest(here: Strip, ties: Ties, least: int, worst_px: float) -> None:
 def test_keypoints_of_a_class_of_one_s_own_are_tied(here: Strip) -> None:
     ties = tied(here, Blobs())
     assert ties.unconnected == ["image 4"]
-    check_honest(here, ties, 60, 0.4)
+    check_errors_as_stated(here, ties, 60, 0.4)
 
 
 @pytest.mark.costly
 def test_sift_is_tied(here: Strip) -> None:
     ties = tied(here, of_opencv(SiftFeatures))
     assert ties.unconnected == ["image 4"]
-    check_honest(here, ties, 100, 0.15)
+    check_errors_as_stated(here, ties, 100, 0.15)
 
 
 @pytest.mark.costly
 def test_orb_is_tied(here: Strip) -> None:
     ties = tied(here, of_opencv(OrbFeatures))
     assert len(ties.parts[0]) > 1
-    check_honest(here, ties, 50, 0.9)
+    check_errors_as_stated(here, ties, 50, 0.9)
 
 
 @pytest.mark.costly
