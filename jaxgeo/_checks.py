@@ -136,7 +136,8 @@ def _check_dtype(value: Any, dtype: Any, name: str) -> None:
     kind = getattr(dtype, "kind", "")
     if kind not in NO_NUMBERS:
         return
-    first = next(iter(np.asarray(value).ravel().tolist()), None)
+    known = concrete(value)
+    first = None if known is None else next(iter(known.ravel().tolist()), None)
     such = "" if first is None and kind != "O" else f", such as {first!r}"
     raise TypeError(
         f"{name} must be numbers; got {NO_NUMBERS[kind]}{such}. Convert them first, as by np.asarray(x, np.float64)."

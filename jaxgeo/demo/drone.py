@@ -18,6 +18,7 @@ from jaxgeo.io import example_dem
 from jaxgeo.io.acquisitions.usual_errors import LEVEL, LEVEL_ELSE, POSITION
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.observation import Exposure
+from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.camera import check_size
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -87,7 +88,9 @@ def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
         error: Any = np.asarray(source.sigma) * rng.standard_normal(len(source.axes))
         inputs = eqx.filter_jit(source.moved)(inputs, error)
     assert isinstance(inputs.motion, Shot)
-    return inputs.motion
+    R_base_from_head = np.asarray(sensor.gimbal.R_base_from_head(inputs.motion.gimbal_readings))
+    turned = np.asarray(inputs.sensor.mount.R_head_from_camera) @ np.asarray(sensor.mount.R_head_from_camera).T
+    return Shot(inputs.motion.pose, np.array(heading_pitch_roll_from_R(R_base_from_head @ turned)))
 
 
 def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> None:
