@@ -88,9 +88,9 @@ def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
         error: Any = np.asarray(source.sigma) * rng.standard_normal(len(source.axes))
         inputs = eqx.filter_jit(source.moved)(inputs, error)
     assert isinstance(inputs.motion, Shot)
-    R_base_from_head = np.asarray(sensor.gimbal.R_base_from_head(inputs.motion.gimbal_readings))
     turned = np.asarray(inputs.sensor.mount.R_head_from_camera) @ np.asarray(sensor.mount.R_head_from_camera).T
-    return Shot(inputs.motion.pose, np.array(heading_pitch_roll_from_R(R_base_from_head @ turned)))
+    R_base_from_head = sensor.gimbal.R_base_from_head(inputs.motion.gimbal_readings) @ turned
+    return Shot(inputs.motion.pose, np.array(heading_pitch_roll_from_R(R_base_from_head)))
 
 
 def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> None:

@@ -173,9 +173,12 @@ def names_of_classes(folder: pathlib.Path) -> None:
 
 def keypoints(_: pathlib.Path) -> None:
     """Keypoints of SIFT and ORB."""
+    import scipy
+
     from jaxgeo.ties import OrbFeatures, SiftFeatures
 
-    grey = np.random.default_rng(0).normal(size=(160, 160)).repeat(4, axis=0).repeat(4, axis=1).astype(np.float32)
+    squares = np.random.default_rng(0).normal(size=(160, 160)).repeat(4, axis=0).repeat(4, axis=1)
+    grey = scipy.ndimage.gaussian_filter(squares, 2.0).astype(np.float32)
     for features in (SiftFeatures(), OrbFeatures()):
         assert len(features.find(grey, np.ones(grey.shape, bool)).uv) > 50
 
