@@ -91,6 +91,20 @@ def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
     return heading, pitch, jnp.where(locked, 0.0, roll)
 
 
+def omega_phi_kappa_from_R(R: np.ndarray) -> np.ndarray:
+    """Omega, phi and kappa (n, 3) in rad of rotations (n, 3, 3), `Rx(omega) Ry(phi) Rz(kappa)`; by NumPy.
+
+    Phi lies in [-pi/2, pi/2]. At its limits omega and kappa rotate about one axis; kappa is then set to zero. Near them
+    both are uncertain, and together right: kappa is what is left after omega is taken out.
+    """
+    cos_phi = np.hypot(R[:, 0, 0], R[:, 0, 1])
+    locked = cos_phi < 1e-12
+    omega = np.where(locked, np.arctan2(R[:, 2, 1], R[:, 1, 1]), np.arctan2(-R[:, 1, 2], R[:, 2, 2]))
+    ahead, along = (np.cos(omega) * R[:, 1, k] + np.sin(omega) * R[:, 2, k] for k in (0, 1))
+    kappa = np.where(locked, 0.0, np.arctan2(ahead, along))
+    return np.stack([omega, np.arctan2(R[:, 0, 2], cos_phi), kappa], axis=-1)
+
+
 @one_program
 def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     """Rotation about `rotation` by its length in rad (Rodrigues formula), smooth at zero."""

@@ -54,6 +54,11 @@ class Images:
         for field, value in (("name", name), ("camera", camera), ("centre", centre), ("R_frame_from_camera", R)):
             object.__setattr__(self, field, value)
 
+    def rows_of(self, names: np.ndarray) -> np.ndarray:
+        """Index (k,) of each of these names (k,) among the images."""
+        by_name = np.argsort(self.name)
+        return by_name[np.searchsorted(self.name, names, sorter=by_name)]
+
     def __len__(self) -> int:
         return len(self.name)
 

@@ -128,11 +128,12 @@ def adjust(
             more = (replace(one, number=one.number + first.log[-1].number) for one in solution.log[1:])
             solution = solution._replace(log=(*first.log, *more))
     found = _unless_deficient(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
-    if found is None:  # the block needs some of what is set aside, which the start was too poor to judge
+    if found is None:  # the start was too poor to judge what the block needs
+        assert screen is not None  # without it nothing is set aside
         whole = prepared(block, unknowns, terrain)
         start = placed(block, whole, solution.values, screened.kept, Kept.all(block))
         robust = solve(whole.problem, Cauchy(), solver, callback, start)
-        screened = taken_back(block, whole, robust.values, screened, SIGMAS if screen is None else screen)
+        screened = taken_back(block, whole, robust.values, screened, screen)
         ready = masked(block, prepared(block, unknowns, terrain, set_aside(block, screened.kept)), screened.kept)
         solution = solve(ready.problem, loss, solver, callback, robust.values)
         found = adjusted(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)

@@ -54,8 +54,7 @@ def of_parallel_rays(block: Block) -> np.ndarray:
     Such points have no place, as those of images from one position. Raises `ValueError` as `rays_of`.
     """
     observations = block.observations
-    by_name = np.argsort(block.images.name)
-    image = by_name[np.searchsorted(block.images.name, observations.image, sorter=by_name)]
+    image = block.images.rows_of(observations.image)
     _, point, count = np.unique(observations.point, return_inverse=True, return_counts=True)
     _, direction = rays_of(block, np.arange(len(point)), image)
     normal = np.zeros((len(count), 3, 3))

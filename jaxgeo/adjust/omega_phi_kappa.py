@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo.rotations import omega_phi_kappa_from_R
 from jaxgeo.sensor.platform import R_IMAGE_FROM_CAMERA
 
 
@@ -14,13 +15,7 @@ def omega_phi_kappa(R_frame_from_camera: Any) -> np.ndarray:
 
     Phi lies in [-pi/2, pi/2]; at its limits omega and kappa are not separable, and kappa is set to zero.
     """
-    R = np.asarray(R_frame_from_camera) @ R_IMAGE_FROM_CAMERA.T
-    cos_phi = np.hypot(R[:, 0, 0], R[:, 0, 1])
-    upright = cos_phi < 1e-12
-    phi = np.arctan2(R[:, 0, 2], cos_phi)
-    omega = np.where(upright, np.arctan2(R[:, 2, 1], R[:, 1, 1]), np.arctan2(-R[:, 1, 2], R[:, 2, 2]))
-    kappa = np.where(upright, 0.0, np.arctan2(-R[:, 0, 1], R[:, 0, 0]))
-    return np.stack([omega, phi, kappa], axis=1)
+    return omega_phi_kappa_from_R(np.asarray(R_frame_from_camera) @ R_IMAGE_FROM_CAMERA.T)
 
 
 def angle_derivatives(R_frame_from_camera: Any) -> np.ndarray:

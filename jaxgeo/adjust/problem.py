@@ -72,8 +72,7 @@ def prepared(
     images = block.images
     camera = _numbers(images.camera, cameras)
     points, point = np.unique(block.observations.point, return_inverse=True)
-    by_name = np.argsort(images.name)
-    image = by_name[np.searchsorted(images.name, block.observations.image, sorter=by_name)]
+    image = images.rows_of(block.observations.image)
     columns = len(images) * (6 + (len(active) if own_lens else 0))
     observations = block.observations
     layout, order = layout_of(image, point, observations.uv, observations.sigma, camera, columns)

@@ -46,8 +46,7 @@ class Rays:
     def of(cls, block: Block) -> Rays:
         """Rays with the start orientations of the block."""
         observations, images = block.observations, block.images
-        by_name = np.argsort(images.name)
-        image = by_name[np.searchsorted(images.name, observations.image, sorter=by_name)]
+        image = images.rows_of(observations.image)
         names, point = np.unique(observations.point, return_inverse=True)
         own, sigma = np.empty((len(observations), 3)), np.empty(len(observations))
         for name, camera in block.cameras.items():

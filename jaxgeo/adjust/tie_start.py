@@ -79,8 +79,7 @@ def placed(block: Block, full: Prepared, values: Values, before: Kept, kept: Kep
         return values
     places = np.array(values.points)
     places[full.order.row_of_point[new]] = np.nan
-    by_name = np.argsort(block.images.name)
-    image = by_name[np.searchsorted(block.images.name, observations.image, sorter=by_name)]
+    image = block.images.rows_of(observations.image)
     row, used = full.order.row_of_point[point], kept.rows & new[point]
     places = started(_adjusted(block, full, values), places, row, image, used)
     return eqx.tree_at(lambda v: v.points, values, jnp.asarray(places))

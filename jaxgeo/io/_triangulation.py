@@ -24,9 +24,10 @@ from jaxgeo._text_numbers import number_in, numbers_in, words_of
 from jaxgeo.io._columns import Columns
 from jaxgeo.io._csv import CsvTable
 from jaxgeo.io._json import shown
-from jaxgeo.io._rotations import omega_phi_kappa, rotation_near
+from jaxgeo.io._rotations import rotation_near
 from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError
+from jaxgeo.rotations import omega_phi_kappa_from_R
 
 PATB, BINGO = "PAT-B", "BINGO"
 HEADER = ("image", "x_m", "y_m", "z_m", "omega_deg", "phi_deg", "kappa_deg")
@@ -105,7 +106,7 @@ def read_triangulation(path: str | os.PathLike[str], what: str) -> Columns | Non
         return None
     records, notes = (_of_patb if program == PATB else _of_bingo)(path, _lines(text))
     numbers, names, centres, rotations = zip(*records, strict=True)
-    angles = np.rad2deg(omega_phi_kappa(np.array(rotations)))
+    angles = np.rad2deg(omega_phi_kappa_from_R(np.array(rotations)))
     cells = [
         [name, *(repr(float(one)) for one in (*centre, *turn))]
         for name, centre, turn in zip(names, centres, angles, strict=True)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.io._json import shown
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions._rtklib import GPS_EPOCH, WEEK, leap_seconds
@@ -31,7 +31,6 @@ MARK = re.compile(  # ASCII digits only
 )
 FIELDS = ("time of week", "week", "N", "E", "V", "Lat", "Lon", "Ellh", "sigma north", "sigma east", "sigma up", "Q")
 ENDING = ".mrk"
-EQUATOR, FLATTENING = 6_378_137.0, 1.0 / 298.257223563  # m; of WGS 84
 
 
 @dataclass(frozen=True)
@@ -98,9 +97,8 @@ def _files_in(folder: pathlib.Path, _: int) -> list[pathlib.Path]:
 def moved(position: Geodetic, offset: np.ndarray) -> Geodetic:
     """Positions (n,) in rad and m moved by offsets (n, 3) in m, north, east and down, of up to some metres."""
     lat, lon, height = (np.asarray(one) for one in (position.lat, position.lon, position.height))
-    e2 = FLATTENING * (2.0 - FLATTENING)
-    across = EQUATOR / np.sqrt(1.0 - e2 * np.sin(lat) ** 2)
-    along = across * (1.0 - e2) / (1.0 - e2 * np.sin(lat) ** 2)
+    across = WGS84.a / np.sqrt(1.0 - WGS84.e2 * np.sin(lat) ** 2)
+    along = across * (1.0 - WGS84.e2) / (1.0 - WGS84.e2 * np.sin(lat) ** 2)
     north, east, down = np.asarray(offset).T
     return Geodetic(
         lat=lat + north / (along + height),
