@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxgeo._record import portable
 from jaxgeo.coverage.exposure import Image, local_projection
 from jaxgeo.coverage.strips import STANDING, place_on_map
 
@@ -15,6 +16,7 @@ OFF_STEP = 0.7  # of the step along the course, and
 OFF_LENGTH = 0.01  # of the strip's length: an image farther off its neighbours across the course is not on their line
 
 
+@portable
 class NotOnLine(ValueError):
     """Images that do not lie on a line: the `index` of the one farthest `off`, in m across the course."""
 
