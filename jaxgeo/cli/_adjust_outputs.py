@@ -34,18 +34,23 @@ OPENSFM = "opensfm/reconstruction.json"
 COLMAP = "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt"
 CONTROL = "control.csv"
 PAGE = "report.html"
-FILES = *TABLES, CONTROL, PAGE, OPENSFM, *COLMAP
+METASHAPE = "metashape/cameras.xml"
+FILES = *TABLES, CONTROL, PAGE, OPENSFM, *COLMAP, METASHAPE
 SHOWN = 30  # images in the table on the screen
 SHOWN_BARE = 5  # pairs without ties there
 
 
 def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> list[str]:
-    """Write the tables and the models of OpenSfM and COLMAP; a note for a lens that these lack. Names of the files."""
+    """Write the tables and the models of OpenSfM, COLMAP and Metashape; a note for a lens that one lacks.
+
+    Names of the files.
+    """
     from jaxgeo.io import (
         orientations_of,
         write_colmap,
         write_control,
         write_image_ties,
+        write_metashape_cameras,
         write_opensfm,
         write_orientations,
     )
@@ -58,10 +63,12 @@ def write_files(folder: pathlib.Path, found: Correction, crs: str | None) -> lis
     if found.control_residuals is not None:
         write_control(folder / CONTROL, found.control_residuals)
         written.append(CONTROL)
-    (folder / OPENSFM).parent.mkdir(exist_ok=True)
+    for model in (OPENSFM, METASHAPE):
+        (folder / model).parent.mkdir(exist_ok=True)
     models = (
         ([OPENSFM], lambda: write_opensfm(folder / OPENSFM, adjustment)),
         ([*COLMAP], lambda: write_colmap((folder / COLMAP[0]).parent, adjustment)),
+        ([METASHAPE], lambda: write_metashape_cameras(folder / METASHAPE, adjustment)),
     )
     for names, write in models:
         try:

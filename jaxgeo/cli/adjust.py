@@ -116,7 +116,7 @@ def adjust_command(
 
     The navigation is the prior, with the errors that the files state; surveyed points (--gcp) are control, or checks.
     With --reference, images are registered to a map too, and tie points carry it to the others. Writes
-    orientations.csv, ties.csv, control.csv, and models of OpenSfM and COLMAP.
+    orientations.csv, ties.csv, control.csv, and models of OpenSfM, COLMAP and Metashape.
     """
     inputs = given_options(locals())
     with report_errors(debug):

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.locate_on_disk import intersect_files, locate_files
     from jaxgeo.io.located import accuracy_of_observations, locate_observations
     from jaxgeo.io.map_raster import MapRaster
+    from jaxgeo.io.metashape_writer import write_metashape_cameras
     from jaxgeo.io.mosaic import MosaicFile, write_mosaic
     from jaxgeo.io.navigation import read_navigation
     from jaxgeo.io.observation_reader import observations_of, read_observations
@@ -130,6 +131,7 @@ __all__ = [
     "write_footprints",
     "write_image_points",
     "write_image_ties",
+    "write_metashape_cameras",
     "write_mosaic",
     "write_opensfm",
     "write_orientations",
@@ -168,6 +170,7 @@ _NAMES_OF = {
     "locate_on_disk": "intersect_files locate_files",
     "located": "accuracy_of_observations locate_observations",
     "map_raster": "MapRaster",
+    "metashape_writer": "write_metashape_cameras",
     "mosaic": "MosaicFile write_mosaic",
     "navigation": "read_navigation",
     "observation_reader": "observations_of read_observations",

@@ -33,7 +33,7 @@ def write_opensfm(path: str | os.PathLike[str], found: Adjustment) -> None:
     OpenSfM does not have (another formula, or k4 to k6 of `BrownConrady`), `ValueError` for a path that cannot be
     written to.
     """
-    frame = _frame_of(found)
+    frame = frame_on_earth(found)
     lat, lon, height = (float(x) for x in frame.origin.to_degrees())
     turn, translation = _to_camera(found)
     content = {
@@ -66,7 +66,7 @@ def write_colmap(folder: str | os.PathLike[str], found: Adjustment) -> None:
 
     Each file appears only when complete. Raises as `write_opensfm`; k4 to k6 are written.
     """
-    target, frame = pathlib.Path(folder), _frame_of(found)
+    target, frame = pathlib.Path(folder), frame_on_earth(found)
     target.mkdir(parents=True, exist_ok=True)
     number = {name: k for k, name in enumerate(found.cameras, 1)}
     lines = [" ".join([f"{number[name]}", *_colmap_camera(name, camera)]) for name, camera in found.cameras.items()]
@@ -82,7 +82,8 @@ def write_colmap(folder: str | os.PathLike[str], found: Adjustment) -> None:
     _write(target / "points3D.txt", ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]", *_colmap_points(found, rows)])
 
 
-def _frame_of(found: Adjustment) -> LocalFrame:
+def frame_on_earth(found: Adjustment) -> LocalFrame:
+    """The frame of the block. Raises `TypeError` for one that is Cartesian."""
     frame = found.block.frame
     if not isinstance(frame, LocalFrame):
         raise TypeError("the block has no place on the Earth: its frame is Cartesian.")
@@ -134,14 +135,15 @@ def _colmap_points(found: Adjustment, rows: tuple[np.ndarray, ...]) -> list[str]
     return lines
 
 
-def _numbers_of(camera: FrameCamera) -> tuple[np.ndarray, np.ndarray]:
+def interior_of_lens(camera: FrameCamera) -> tuple[np.ndarray, np.ndarray]:
+    """(focal lengths (2,), principal point (2,)) in px; pixel (0, 0) is the centre of the first."""
     focal = np.broadcast_to(np.asarray(camera.focal_px, float), (2,))
     return focal, np.broadcast_to(np.asarray(camera.principal_px, float), (2,))
 
 
 def _opensfm_camera(name: str, camera: FrameCamera) -> dict[str, Any]:
     lens = camera.distortion
-    focal, principal = _numbers_of(camera)
+    focal, principal = interior_of_lens(camera)
     longer = max(camera.width, camera.height)
     offset = (principal - 0.5 * (np.array([camera.width, camera.height]) - 1.0)) / longer
     common = {
@@ -162,7 +164,7 @@ def _opensfm_camera(name: str, camera: FrameCamera) -> dict[str, Any]:
 
 def _colmap_camera(name: str, camera: FrameCamera) -> list[str]:
     lens = camera.distortion
-    focal, principal = _numbers_of(camera)
+    focal, principal = interior_of_lens(camera)
     if isinstance(lens, Fisheye):
         model, terms = "OPENCV_FISHEYE", [float(getattr(lens, key)) for key in OF_FISHEYE]
     elif isinstance(lens, NoDistortion):

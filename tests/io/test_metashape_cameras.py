@@ -8,6 +8,8 @@ NumPy (`pixel_by_the_manual`), with cx and cy from the middle and pixels counted
 from __future__ import annotations
 
 import pathlib
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -15,10 +17,14 @@ import numpy as np
 import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
+from support.simulated_block import simulated
 
 from jaxgeo import WGS84
+from jaxgeo.adjust import Adjustment, adjust
 from jaxgeo.earth import Geodetic
-from jaxgeo.io import TableError, read_acquisition
+from jaxgeo.io import TableError, read_acquisition, write_metashape_cameras
+from jaxgeo.io.errors import UnwritableLens
+from jaxgeo.sensor.distortion import BrownConrady, Fisheye
 
 TERMS = {
     "f": 277.0,
@@ -70,15 +76,17 @@ def document(
 <camera id="1" sensor_id="0" label="DJI_0002"/>{more}</cameras>{"" if of_component else transform}</chunk></document>"""
 
 
-def pixel_by_the_manual(p: np.ndarray) -> np.ndarray:
+def pixel_by_the_manual(
+    p: np.ndarray, terms: dict[str, float] = TERMS, width: int = WIDTH, height: int = HEIGHT
+) -> np.ndarray:
     """The manual's projection, and half a pixel from its corner to the centre of the first pixel."""
     x, y = p[:2] / p[2]
     r2 = x * x + y * y
-    radial = 1.0 + TERMS["k1"] * r2 + TERMS["k2"] * r2**2 + TERMS["k3"] * r2**3
-    xd = x * radial + TERMS["p1"] * (r2 + 2.0 * x * x) + 2.0 * TERMS["p2"] * x * y
-    yd = y * radial + TERMS["p2"] * (r2 + 2.0 * y * y) + 2.0 * TERMS["p1"] * x * y
-    u = 0.5 * WIDTH + TERMS["cx"] + xd * TERMS["f"] + xd * TERMS["b1"]
-    return np.array([u, 0.5 * HEIGHT + TERMS["cy"] + yd * TERMS["f"]]) - 0.5
+    radial = 1.0 + terms["k1"] * r2 + terms["k2"] * r2**2 + terms["k3"] * r2**3
+    xd = x * radial + terms["p1"] * (r2 + 2.0 * x * x) + 2.0 * terms["p2"] * x * y
+    yd = y * radial + terms["p2"] * (r2 + 2.0 * y * y) + 2.0 * terms["p1"] * x * y
+    u = 0.5 * width + terms["cx"] + xd * terms["f"] + xd * terms["b1"]
+    return np.array([u, 0.5 * height + terms["cy"] + yd * terms["f"]]) - 0.5
 
 
 @pytest.mark.costly
@@ -139,3 +147,65 @@ def test_a_datum_is_not_taken(tmp_path: pathlib.Path) -> None:
     path.write_text(document(placed()[0]), encoding="utf-8")
     with pytest.raises(TableError, match="leave height_datum= out"):
         read_acquisition(path, height_datum="EPSG:5773")
+
+
+@pytest.fixture(scope="module")
+def block() -> Adjustment:
+    """An adjusted block, whose images have names of files."""
+    given = simulated().noisy(1).block()
+    names = {str(name): f"DJI_{k:04d}.JPG" for k, name in enumerate(given.images.name)}
+    images = replace(given.images, name=np.array([*names.values()]))
+    of_image = np.array([names[str(name)] for name in given.observations.image])
+    return adjust(replace(given, images=images, observations=replace(given.observations, image=of_image)))
+
+
+def chunk_of(path: pathlib.Path) -> tuple[ET.Element, dict[str, ET.Element]]:
+    """(the chunk, its cameras by label)."""
+    chunk = ET.parse(path).getroot().find("chunk")
+    assert chunk is not None
+    return chunk, {one.attrib["label"]: one for one in chunk.iter("camera")}
+
+
+def numbers(element: ET.Element | None, *shape: int) -> np.ndarray:
+    assert element is not None
+    assert element.text is not None
+    return np.array(element.text.split(), float).reshape(shape)
+
+
+@pytest.mark.costly
+def test_the_manual_projects_an_adjusted_block_as_the_adjustment_does(
+    tmp_path: pathlib.Path, block: Adjustment
+) -> None:
+    path = tmp_path / "cameras.xml"
+    write_metashape_cameras(path, block)
+    chunk, cameras = chunk_of(path)
+    calibration = chunk.find("sensors/sensor/calibration")
+    assert calibration is not None
+    terms = {one.tag: float(one.text or "") for one in calibration if one.tag != "resolution"}
+    size = {key: int(value) for key, value in calibration.find("resolution").attrib.items()}  # pyright: ignore
+    assert size == {"width": 4000, "height": 3000}
+    places = dict(zip(block.points.name.tolist(), block.points.place, strict=True))
+    observed = block.block.observations
+    predicted = observed.uv + block.residuals
+    for k in range(0, len(observed), 7):
+        matrix = numbers(cameras[str(observed.image[k]).removesuffix(".JPG")].find("transform"), 4, 4)
+        p_camera = matrix[:3, :3].T @ (places[str(observed.point[k])] - matrix[:3, 3])
+        np.testing.assert_allclose(pixel_by_the_manual(p_camera, terms, **size), predicted[k], atol=1e-6)
+    read = read_acquisition(path)
+    assert read.names.tolist() == [str(name).removesuffix(".JPG") for name in block.images.name]
+    to_ecef = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
+    at, shift = read.shots.pose.position, numbers(chunk.find("transform/translation"), 3)
+    R = numbers(chunk.find("transform/rotation"), 3, 3)
+    centres = np.stack(to_ecef.transform(np.rad2deg(at.lon), np.rad2deg(at.lat), at.height), axis=1)
+    np.testing.assert_allclose((centres - shift) @ R, block.images.centre, atol=1e-6)  # m
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("lens", [Fisheye(k1=0.01), BrownConrady(k1=0.01, k5=0.02)])
+def test_lenses_that_metashape_lacks_are_not_written(tmp_path: pathlib.Path, block: Adjustment, lens: Any) -> None:
+    cameras = {name: replace(camera, distortion=lens) for name, camera in block.cameras.items()}
+    other = replace(block)
+    object.__setattr__(other, "cameras", cameras)
+    with pytest.raises(UnwritableLens, match="Metashape"):
+        write_metashape_cameras(tmp_path / "cameras.xml", other)
+    assert not (tmp_path / "cameras.xml").exists()

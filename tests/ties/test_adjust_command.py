@@ -296,6 +296,9 @@ def test_the_models_have_the_orientations_of_the_table(done) -> None:
     centre_there, R_there = sights_of(there)
     assert np.allclose(centre_there, centre, atol=3e-4)
     assert np.allclose(R_there, R, atol=1e-8)
+    centre_there, R_there = sights_of(read_observations([out / "metashape" / "cameras.xml"]))
+    assert np.allclose(centre_there, centre, atol=3e-4)
+    assert np.allclose(R_there, R, atol=1e-8)
 
 
 def test_pixels_are_located_with_the_accuracies_of_the_adjustment(here: ImageFolder, done) -> None:
