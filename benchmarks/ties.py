@@ -12,7 +12,9 @@ Two blocks of the folder JAXGEO_TEST_DATA:
 
 Reported: tie points, residuals in px with the orientations of the navigation and the adjusted ones; differences of
 positions (m) and attitudes (deg) from the reference; and how far neighbouring images, rectified on the elevation model
-to one grid, are apart (m): RMS and median of shifts measured by correlation of blocks in both. The same for COLMAP
+to one grid, are apart (m): RMS and median of shifts measured by correlation of blocks in both; the same between each
+rectified image and the two orthophotos of the large block's publisher, at 10 m; and heights of the tie points above the
+surface model (m). The same for COLMAP
 (pycolmap: features, exhaustive matching, mapping with the reference's camera, aligned to the positions of the
 navigation by a similarity), and the agreement by the reference's orientations themselves. With --control, the same once
 more with control: points drawn on the elevation model, as the reference has them in two images or more, with errors of
@@ -48,9 +50,9 @@ import jaxgeo
 from jaxgeo import Exposure, FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.adjust import ImagePoints, LocalFrame, Prior, Unknowns
 from jaxgeo.earth import R_ecef_from_ned
-from jaxgeo.io import read_dem, read_observations, read_opensfm, read_orientations
+from jaxgeo.io import read_dem, read_observations, read_opensfm, read_orientations, read_orthoimage
 from jaxgeo.io.images import read_image
-from jaxgeo.ortho import rectify
+from jaxgeo.ortho import Orthoimage, rectify
 from jaxgeo.register import match_blocks
 from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.studies.gu2017.scene import moved
@@ -118,9 +120,18 @@ class Real:
     height_sigma: float
     reference: Poses
     cases: dict[str, tuple[Views, Unknowns | None]]
+    orthophotos: tuple[Orthoimage, ...] = ()
 
     def read(self, row: int) -> tuple[np.ndarray, np.ndarray]:
         return read_image(self.folder / self.files[row])
+
+    def rectified(
+        self, poses: Poses, row: int, name: str, grid: Any, shape: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(grey values, mask) of an image on a grid."""
+        exposure, (values, known) = poses.exposure(name), self.read(row)
+        found = rectify(exposure.sensor, exposure.motion, values, self.terrain, grid, shape, known=known).orthoimage
+        return np.asarray(found.values, float).mean(axis=0), np.asarray(found.known)
 
 
 def drone() -> Real:
@@ -176,9 +187,9 @@ def large(seeds: int) -> Real:
             cases[f"{label}, seed {seed}"] = views, None
     of = Views.of(files, exact, [errors] * len(exact))
     reference = Poses(files, of.frame, of.centre, of.R_frame_from_camera, camera)
-    return Real(
-        folder / "images", files, read_dem(folder / "dem.tif", vertical_datum=undulation), 10.0, reference, cases
-    )
+    terrain = read_dem(folder / "dem.tif", vertical_datum=undulation)
+    orthophotos = tuple(read_orthoimage(one).coarser(2) for one in sorted((folder / "reference_ortho").glob("*.tif")))
+    return Real(folder / "images", files, terrain, 10.0, reference, cases, orthophotos)
 
 
 def differences(poses: Poses, reference: Poses) -> dict[str, float]:
@@ -228,20 +239,39 @@ class Neighbours:
                 continue
             both = []
             for row, name in zip(pair[:2], names, strict=True):
-                exposure, (values, known) = poses.exposure(name), self.block.read(row)
-                found = rectify(exposure.sensor, exposure.motion, values, self.block.terrain, grid, shape, known=known)
-                image = found.orthoimage
-                both.append((np.asarray(image.values, float).mean(axis=0), np.asarray(image.known)))
+                both.append(self.block.rectified(poses, row, name, grid, shape))
             own = _shifts(both) * cell
             shifts.append(own)
             by_pair["-".join(name.removesuffix(".tif")[-8:] for name in names)] = [len(own), _length(own)]
-        every = np.concatenate(shifts)
-        return {
-            "rms_m": _rms(every),
-            "median_m": float(np.median(np.linalg.norm(every, axis=1))),
-            "blocks": len(every),
-            "blocks_and_rms_of_pairs": by_pair,
-        }
+        return _summary(shifts) | {"blocks_and_rms_of_pairs": by_pair}
+
+
+def off_orthophotos(block: Real, poses: Poses) -> dict[str, Any]:
+    """Shifts in m of blocks between rectified images and orthophotos."""
+    shifts = []
+    for ortho in block.orthophotos:
+        map_of = np.asarray(ortho.values, float).mean(axis=0), np.asarray(ortho.known)
+        for name in poses.name:
+            image = block.rectified(poses, block.files.index(name), name, ortho.grid, ortho.shape)
+            if np.sum(image[1] & map_of[1]) > BLOCK**2:
+                shifts.append(_shifts([map_of, image]) * ortho.ground_sampling)
+    return _summary(shifts)
+
+
+def _summary(shifts: list[np.ndarray]) -> dict[str, Any]:
+    """RMS and median length, and the number, of shifts in m."""
+    every = np.concatenate(shifts)
+    median = float(np.median(np.linalg.norm(every, axis=1)))
+    return {"rms_m": _rms(every), "median_m": median, "blocks": len(every)}
+
+
+def above_surface(block: Real, found: Correction) -> dict[str, float]:
+    """Heights of the adjusted tie points above the surface model, m: median, and 1.4826 times the median deviation."""
+    place = found.views.frame.to_geodetic(found.adjustment.points.place)
+    heights = np.asarray(place.height) - np.asarray(jax.jit(jax.vmap(block.terrain.height_at))(place))
+    heights = heights[np.isfinite(heights)]
+    middle = float(np.median(heights))
+    return {"median_m": middle, "nmad_m": 1.4826 * float(np.median(np.abs(heights - middle))), "points": len(heights)}
 
 
 def drawn_control(block: Real, views: Views, count: int) -> Control:
@@ -349,6 +379,8 @@ def run(block: Real, points: int, control: int) -> dict[str, Any]:
     neighbours = Neighbours(block, first)
     reference, theirs = neighbours.apart(block.reference), {}
     found: dict[str, Any] = {"reference": {"agreement": reference}}
+    if block.orthophotos:
+        found["reference"]["off_orthophotos"] = off_orthophotos(block, block.reference)
     print(json.dumps(found, indent=1), flush=True)
     for label, (views, unknowns) in block.cases.items():
         result, ties, figures = mutual(block, views, unknowns, points)
@@ -361,7 +393,13 @@ def run(block: Real, points: int, control: int) -> dict[str, Any]:
             "after": differences(after, block.reference),
             "agreement_before": neighbours.apart(before),
             "agreement_after": neighbours.apart(after),
+            "tie_points_above_surface": above_surface(block, result),
         }
+        if block.orthophotos:
+            figures |= {
+                "off_orthophotos_before": off_orthophotos(block, before),
+                "off_orthophotos_after": off_orthophotos(block, after),
+            }
         if control:
             held = correct(views, ties, unknowns, control=drawn_control(block, views, control))
             poses = adjusted_poses(held)
@@ -405,6 +443,7 @@ def colmap(block: Real, views: Views, neighbours: Neighbours) -> dict[str, Any] 
         "residual_px": found.residual_px,
         "after": differences(poses, block.reference),
         "agreement": neighbours.apart(poses),
+        **({"off_orthophotos": off_orthophotos(block, poses)} if block.orthophotos else {}),
         "matching_s": found.matching_s,
         "adjustment_s": found.mapping_s,
     }
