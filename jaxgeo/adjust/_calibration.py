@@ -63,9 +63,7 @@ def calibration(
         found = eqx.tree_at(lambda s: s.mount, found, adjustment.mounts[mount])
     owners = f"camera {camera}", f"mount {mount}"
     chosen = [
-        (i, p)
-        for i, p in enumerate(adjustment.parameters)
-        if p.whose in owners and p.name not in (READOUT, REFRACTION)
+        (i, p) for i, p in enumerate(adjustment.parameters) if p.whose in owners and p.name not in (READOUT, REFRACTION)
     ]
     if any(p.name == "aspect" for _, p in chosen):
         raise ValueError(f"the aspect of camera {camera} was unknown; adjust with aspect=Fixed() for an error model.")

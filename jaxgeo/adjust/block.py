@@ -74,8 +74,8 @@ class Block:
 
     `readout` is the readout time of rolling-shutter cameras in s, a number for all or a mapping from their names, as of
     `RollingShutterCamera.from_readout`: from the first row of an image to that of the next, negative from the bottom
-    up. Orientations are then those of the middle row, half a readout after the first, and navigation is taken as of that
-    time. With an `atmosphere`, rays are refracted.
+    up. Orientations are then those of the middle row, half a readout after the first, and so is the navigation. With an
+    `atmosphere`, rays are refracted.
 
     Raises `ValueError` with the name of an unknown image or camera or of a point with a single measurement and no
     control, for a block without points, for a readout without velocities and turn rates in the navigation, and for an
@@ -148,8 +148,8 @@ class Block:
     def with_block(self, other: Block) -> Block:
         """Merge two blocks: more cameras, flights or observations over the same ground, in this block's frame.
 
-        Raises `ValueError` for different frames and atmospheres, for cameras, readouts, mounts and control points of one
-        name with different values, and as `Block`.
+        Raises `ValueError` for different frames and atmospheres, for cameras, readouts, mounts and control points of
+        one name with different values, and as `Block`.
         """
         if not _same(self.frame, other.frame):
             raise ValueError("blocks are joined in one frame; make the other with frame=block.frame.")
@@ -238,7 +238,9 @@ class Block:
         if self.atmosphere is not None:
             check_is(self.atmosphere, Atmosphere, "atmosphere")
             if not isinstance(self.frame, LocalFrame):
-                raise ValueError("atmosphere= takes a block in a LocalFrame: a Cartesian frame has no height and no up.")
+                raise ValueError(
+                    "atmosphere= takes a block in a LocalFrame: a Cartesian frame has no height above the ground."
+                )
 
     def _check_points(self) -> None:
         if not len(self.observations):

@@ -154,8 +154,8 @@ def _check_datum(ready: Prepared, datum: InnerConstraints | None) -> None:
     """Refuse a free network of rays that depend on the velocity and on the vertical."""
     if datum is not None and ready.problem.effects is not None:
         raise ValueError(
-            "datum=InnerConstraints() is of images whose rays do not depend on where the whole lies; a readout turns with "
-            "the velocity of the navigation, and refraction with the vertical. Give navigation or control."
+            "datum=InnerConstraints() takes rays that do not depend on where the whole lies; those of a readout depend "
+            "on the velocity of the navigation, refracted ones on the vertical. Give navigation or control."
         )
 
 

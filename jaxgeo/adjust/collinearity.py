@@ -106,8 +106,8 @@ def navigation_residual(
     Positions use the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
     Eq 5, where the lever arm's sign is that of the IMU seen from the camera). Attitudes are the rotation vector between
     the observed and predicted orientation of the reference, in its own axes (Eq 3, without the singularity of its
-    angles). `common` numbers move both by the errors that images share. A time offset, the seventh number of a strip, moves
-    positions by it times the velocity, and attitudes by it times the turn rate.
+    angles). `common` numbers move both by the errors that images share. A time offset, the seventh number of a strip,
+    moves positions by it times the velocity, and attitudes by it times the turn rate.
     """
     # # The boresight rotates base against body, or, for local level without a base, camera against head.
     before = jnp.where(observed.level, jnp.eye(3), matmul3(boresight, observed.R_body_from_base))

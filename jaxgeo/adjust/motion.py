@@ -105,7 +105,7 @@ def checked_motion(values: Any, count: int, name: str) -> np.ndarray | None:
     found = np.asarray(values, np.float64)
     if found.shape not in ((3,), (count, 3)) or np.any(np.isinf(found)):
         raise ValueError(
-            f"{name} must be (3,) or ({count}, 3) finite numbers in {UNITS[name]}, NaN where it is not known; got shape "
-            f"{found.shape}."
+            f"{name} must be (3,) or ({count}, 3) finite numbers in {UNITS[name]}, NaN where it is not known; got "
+            f"shape {found.shape}."
         )
     return np.broadcast_to(found, (count, 3)).copy()

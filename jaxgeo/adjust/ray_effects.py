@@ -55,10 +55,10 @@ class RayEffects(Record):
         """R_frame_from_camera and the apparent point relative to the perspective centre at the time of each
         measurement."""
         if self.bending is not None:
-            offset = offset + lens[self.first + len(self.names) - 1] * self.bending
+            offset = offset + lens[self.first + len(self.names) - 1][None] * self.bending
         if self.share is None:
             return R, offset
-        seconds = lens[self.first] * self.share
+        seconds = (lens[self.first] * self.share)[None]
         velocity, turn_rate = self._of_measurements(layout)
         turn = jax.vmap(R_from_rotation_vector, in_axes=-1, out_axes=-1)(seconds * turn_rate)
         return jnp.einsum("ijo,jko->iko", turn, R), offset - seconds * velocity
@@ -68,13 +68,14 @@ class RayEffects(Record):
         found = []
         if self.share is not None:
             velocity, turn_rate = self._of_measurements(layout)
-            found.append(-self.share * (velocity + jnp.cross(turn_rate, offset, axis=0)))
+            found.append(-self.share[None] * (velocity + jnp.cross(turn_rate, offset, axis=0)))
         if self.bending is not None:
             found.append(self.bending)
         return found
 
     def _of_measurements(self, layout: Layout) -> tuple[Float[Array, "3 obs"], Float[Array, "3 obs"]]:
-        assert self.velocity is not None and self.turn_rate is not None
+        assert self.velocity is not None
+        assert self.turn_rate is not None
         return gathered(self.velocity, layout.image), gathered(self.turn_rate, layout.image)
 
     def bent(self, layout: Layout, values: Values) -> RayEffects:

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from jaxgeo.adjust.navigation import Navigation
 
 NEEDED = (
-    "give Navigation(velocity=, turn_rate=), or Block.from_shots(velocity=, turn_rate=), a trajectory=, or strips whose "
-    "images have different times"
+    "give Navigation(velocity=, turn_rate=), or Block.from_shots(velocity=, turn_rate=), a trajectory=, or strips "
+    "whose images have different times"
 )
 
 
@@ -26,9 +26,10 @@ def known_motion(block: Block, rows: np.ndarray, what: str) -> tuple[np.ndarray,
     both = np.concatenate([navigation.velocity, navigation.turn_rate], axis=1)
     unknown = rows & ~np.all(np.isfinite(both), axis=1)
     if np.any(unknown):
+        image, count = block.images.name[int(np.argmax(unknown))], int(np.sum(unknown))
         raise ValueError(
-            f"{what} needs the velocity and the turn rate of each image; those of image "
-            f"{block.images.name[int(np.argmax(unknown))]} are not known ({int(np.sum(unknown))} such images): {NEEDED}."
+            f"{what} needs the velocity and the turn rate of each image; those of image {image} are not known ({count} "
+            f"such images): {NEEDED}."
         )
     both = np.nan_to_num(both)
     return both[:, :3], both[:, 3:]

@@ -1,5 +1,4 @@
-"""The small simulated block flown in uniform motion, seen by a rolling shutter through the air: pixels by the forward
-model of single images, a `RollingShutterCamera` on a `Trajectory`, which shares no code with the adjustment."""
+"""The small simulated block flown in uniform motion, read row by row: pixels and navigation by NumPy."""
 
 from __future__ import annotations
 
@@ -7,20 +6,17 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from jaxgeo import Atmosphere, Pose, RollingShutterCamera, Sensor, Shot
-from jaxgeo.adjust import Block, LocalFrame
-from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
-from jaxgeo.sensor import Trajectory
-from jaxgeo.sensor.exposure import image_of_point
-from tests.support.simulated_block import EACH, Simulated, simulated
+from jaxgeo import Pose, Shot
+from jaxgeo.adjust import Block
+from tests.support.simulated_block import EACH, R_frame_from_enu, Simulated, pixels, simulated
 
 SPEED = 50.0  # m/s
 RATE = 0.03  # rad/s: standard deviation of the body's turn rates
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+ROUNDS = 8  # of row and time; each divides the error by a hundred
 
 
 @cache
@@ -31,68 +27,54 @@ def motion() -> tuple[np.ndarray, np.ndarray]:
     return SPEED * along + rng.normal(0.0, 1.0, along.shape), rng.normal(0.0, RATE, along.shape)
 
 
-def exposed(of: Simulated, readout: float = 0.0, air: Atmosphere | None = None) -> Simulated:
-    """The block with the pixels of a camera that reads its rows in `readout` s, from a platform in motion."""
+def straight() -> tuple[np.ndarray, np.ndarray]:
+    """The same without turns, and with one velocity in each strip."""
+    velocity, turn_rate = motion()
+    along = np.round(velocity / SPEED) * SPEED
+    return along, np.zeros_like(turn_rate)
+
+
+def indices(of: Simulated) -> tuple[np.ndarray, np.ndarray]:
+    """(index of the image (k,), true place of the point (k, 3)) of each measurement."""
     image = np.array([of.names.index(name) for name in of.observations.image.tolist()])
     places = dict(zip(of.points.name.tolist(), of.points.place, strict=True))
-    points = np.array([places[name] for name in of.observations.point.tolist()])
+    return image, np.array([places[name] for name in of.observations.point.tolist()])
+
+
+def exposed(of: Simulated, readout: float) -> Simulated:
+    """The block with pixels of a camera on a fixed mount that reads its rows in `readout` s, the middle row at the
+    pose of the shot."""
+    image, points = indices(of)
+    velocity, turn_rate = (x[image] for x in motion())
+    body, camera, mount = R_frame_from_body(of)[image], of.sensor.camera, of.sensor.mount
+    imu = np.asarray(of.frame.from_geodetic(of.shots.pose.position))[image]
+    in_body = np.asarray(mount.R_body_from_base) @ np.asarray(mount.R_head_from_camera)
+    arm = np.asarray(mount.lever_body) + np.asarray(mount.R_body_from_base) @ np.asarray(mount.lever_head)
+    uv = of.observations.uv
+    for _ in range(ROUNDS):
+        tau = (readout / camera.height * (uv[:, 1] - 0.5 * (camera.height - 1)))[:, None]
+        turned = body @ Rotation.from_rotvec(tau * turn_rate).as_matrix()
+        uv = pixels(camera, imu + tau * velocity + turned @ arm, turned @ in_body, points)
+    return replace(of, observations=replace(of.observations, uv=uv))
+
+
+def R_frame_from_body(of: Simulated) -> np.ndarray:
+    """Orientations (15, 3, 3) of the body."""
+    pose = of.shots.pose
+    angles = np.stack([np.broadcast_to(x, (len(of.names),)) for x in (pose.heading, pose.pitch, pose.roll)], axis=1)
+    enu = np.asarray(R_frame_from_enu(of.frame, pose.position))
+    return enu @ NED @ Rotation.from_euler("ZYX", angles).as_matrix()
+
+
+def late(of: Simulated, seconds: Any) -> Simulated:
+    """The block with the navigation of `seconds` after the exposures: a number, or one for each image."""
     velocity, turn_rate = motion()
-    given = (of.sensor, readout) if readout else (of.sensor, None)
-    p_ecef = of.frame.to_ecef(points)
-    shots = jax.tree.map(lambda x: jnp.asarray(np.asarray(x, float)[image]), _shots(of))
-    uv = _pixels(of.frame, *given, shots, jnp.asarray(velocity[image]), jnp.asarray(turn_rate[image]), p_ecef, air)
-    return replace(of, observations=replace(of.observations, uv=np.asarray(uv)))
-
-
-def _shots(of: Simulated) -> Shot:
-    pose, n = of.shots.pose, len(of.names)
-    angles = [np.broadcast_to(np.asarray(x, float), (n,)) for x in (pose.heading, pose.pitch, pose.roll)]
-    return Shot(Pose(pose.position, *angles), of.shots.gimbal_readings, np.asarray(of.shots.time, float))
-
-
-@eqx.filter_jit
-def _pixels(
-    frame: LocalFrame,
-    sensor: Sensor,
-    readout: float | None,
-    shots: Shot,
-    velocity: Any,
-    turn_rate: Any,
-    points: Any,
-    air: Atmosphere | None,
-) -> Any:
-    def one(shot: Shot, velocity: Any, turn_rate: Any, point: Any) -> Any:
-        if readout is None:
-            return image_of_point(sensor, shot, shot.time, point, air)[0]
-        rolling = RollingShutterCamera.from_readout(sensor.camera, readout_time=readout)
-        enu = frame.R_local_from_enu(shot.pose.position).T @ velocity
-        ned = jnp.stack([enu[1], enu[0], -enu[2]])
-        path = Trajectory.steady(shot, velocity_ned=ned, body_rates=turn_rate)
-        first = shot.time - rolling.line_time * 0.5 * (sensor.camera.height - 1)
-        return image_of_point(eqx.tree_at(lambda s: s.camera, sensor, rolling), path, first, point, air)[0]
-
-    return jax.vmap(one)(shots, velocity, turn_rate, points)
-
-
-def late(of: Simulated, seconds: float | np.ndarray) -> Simulated:
-    """The block with the navigation of `seconds` after each exposure."""
-    velocity, turn_rate = motion()
-    seconds = np.broadcast_to(seconds, (len(of.names),))
-    shots = _late(of.frame, _shots(of), seconds[:, None] * velocity, seconds[:, None] * turn_rate)
-    return replace(of, shots=jax.tree.map(np.asarray, shots))
-
-
-@eqx.filter_jit
-def _late(frame: LocalFrame, shots: Shot, shift: Any, turn: Any) -> Shot:
-    def one(shot: Shot, turn: Any, place: Any) -> Shot:
-        local = frame.R_local_from_enu(shot.pose.position)
-        position = frame.to_geodetic(place)
-        there = frame.R_local_from_enu(position)
-        ned = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-        R = ned @ there.T @ local @ ned @ shot.pose.R_ned_from_body @ R_from_rotation_vector(turn)
-        return Shot(Pose(position, *heading_pitch_roll_from_R(R)), shot.gimbal_readings, shot.time)
-
-    return jax.vmap(one)(shots, turn, frame.from_geodetic(shots.pose.position) + shift)
+    after = np.broadcast_to(seconds, (len(of.names),))[:, None]
+    position = of.frame.to_geodetic(np.asarray(of.frame.from_geodetic(of.shots.pose.position)) + after * velocity)
+    R = R_frame_from_body(of) @ Rotation.from_rotvec(after * turn_rate).as_matrix()
+    ned = NED @ np.swapaxes(np.asarray(R_frame_from_enu(of.frame, position)), 1, 2)
+    heading, pitch, roll = Rotation.from_matrix(ned @ R).as_euler("ZYX").T
+    return replace(of, shots=Shot(Pose(position, heading, pitch, roll), of.shots.gimbal_readings, of.shots.time))
 
 
 def moving(of: Simulated, **changes: Any) -> Block:
