@@ -71,7 +71,7 @@ class Navigation:
         arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in _ARRAYS}
         common = {name: errors[rows] for name, errors in self.common.items()}
         measured = None if self.pose_rows is None else self.pose_rows.of(rows)
-        moving = {name: None if (one := getattr(self, name)) is None else one[rows] for name in _MOTION}
+        moving: dict[str, Any] = {n: None if (x := getattr(self, n)) is None else x[rows] for n in _MOTION}
         return Navigation(**arrays, mounts=self.mounts, common=common, pose_rows=measured, **moving)
 
     @property
@@ -179,7 +179,7 @@ def joined(parts: list[Navigation]) -> Navigation:
         name: np.concatenate([part.common.get(name, zero) for part, zero in zip(parts, none, strict=True)])
         for name in names
     }
-    motion = {name: _joined([getattr(part, name) for part in parts], none) for name in _MOTION}
+    motion: dict[str, Any] = {name: _joined([getattr(part, name) for part in parts], none) for name in _MOTION}
     return Navigation(**arrays, mounts=mounts, common=common, **motion)
 
 

@@ -14,6 +14,7 @@ import typer
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import checked_sigma
 from jaxgeo.cli._options import OptionGroup
+from jaxgeo.sensor import Shot
 
 if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
@@ -109,13 +110,17 @@ def _by_tags(views: Views, paths: Sequence[pathlib.Path]) -> np.ndarray | None:
     if len(ned) < len(paths) or not np.all(np.isfinite(ned)):
         return None
     east_north_up = ned[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
-    turns = [np.asarray(views.frame.R_local_from_enu(one.motion.pose.position)) for one in views.exposure]
+    turns = [np.asarray(views.frame.R_local_from_enu(one.pose.position)) for one in _shots(views)]
     return np.einsum("nij,nj->ni", turns, east_north_up)
+
+
+def _shots(views: Views) -> list[Shot]:
+    return [one.motion for one in views.exposure if isinstance(one.motion, Shot)]
 
 
 def _check_times(views: Views, option: str) -> None:
     """Raises `UserError` for times that give no speeds."""
-    time = np.array([float(one.motion.time) for one in views.exposure])
+    time = np.array([float(one.time) for one in _shots(views)])
     instead = "Give images whose tags have speeds (DJI: FlightXSpeed), or a table with times to milliseconds."
     if np.ptp(time) == 0.0:
         raise UserError(f"{option} needs the speeds of the images: the files state neither speeds nor times. {instead}")
