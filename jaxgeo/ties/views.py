@@ -123,7 +123,7 @@ class Views:
 
         `velocity` (n, 3) of the perspective centres in m/s, frame axes, and `turn_rate` (n, 3) of the cameras in rad/s
         about their axes; NaN where unknown. Those not given are by differences between neighbouring images over the
-        times of their shots (`jaxgeo.adjust.motion.motion_by_differences`), which takes the motion between them as
+        times of their shots (`jaxgeo.adjust.motion_by_differences`), which takes the motion between them as
         even; a gap of more than 1.8 median intervals ends a run of images. `readout` in s, a number for all or a
         mapping from the names of `cameras`, is that of `jaxgeo.adjust.Block`; `atmosphere` too: those of exposures do
         not count. What is not given stays as it is. Raises `ValueError` for other shapes and unknown cameras.

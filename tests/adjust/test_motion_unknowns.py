@@ -26,11 +26,13 @@ from jaxgeo.adjust import (
     Unknowns,
     adjust,
     calibration,
+    motion_by_differences,
+    motion_on_trajectory,
     reliability,
+    two_step_boresight,
 )
 from jaxgeo.adjust.equations import known_points, navigation_residuals
 from jaxgeo.adjust.measurements import image_points, image_residuals
-from jaxgeo.adjust.motion import motion_by_differences, motion_on_trajectory
 from jaxgeo.adjust.navigation import joined
 from jaxgeo.adjust.problem import prepared
 from jaxgeo.adjust.ray_consensus import Rays
@@ -38,7 +40,7 @@ from jaxgeo.adjust.values import Step, moved
 from jaxgeo.sensor import Trajectory
 from jaxgeo.sensor.exposure import image_of_point
 from tests.support.moving_block import exposed, indices, late, motion, moving, straight, truth
-from tests.support.simulated_block import Simulated, disturbed
+from tests.support.simulated_block import Simulated, disturbed, simulated
 
 OFFSET, READOUT = 0.02, 0.03  # s
 BOTH = Unknowns(time_offset=Free(), readout=Free())
@@ -80,6 +82,7 @@ def test_exact_measurements_give_offset_readout_and_truth_back() -> None:
     assert found.strips["north"].shape == (6,)
     rows = [line for line in found.summary().splitlines() if "time offset, s" in line or "readout, s" in line]
     assert len(rows) == 4
+    assert np.linalg.norm(two_step_boresight(found).turn) < 1e-7  # rad: the offsets are taken out of the navigation
 
 
 @pytest.mark.costly
@@ -169,11 +172,16 @@ def test_derivatives_are_those_of_the_residuals() -> None:
     np.testing.assert_allclose(predicted, (ends[0] - ends[1]) / (2.0 * size), rtol=1e-6, atol=1e-5)
 
 
+WEAK = {"control": None, "sigma_position": 50.0, "sigma_attitude": 0.1}  # m, rad
+
+
 @pytest.mark.slow
-def test_it_is_dense_least_squares() -> None:
+@pytest.mark.parametrize("changes", [{}, WEAK], ids=["control", "weak navigation"])
+def test_it_is_dense_least_squares(changes: dict[str, Any]) -> None:
     """Covariances and redundancies against a dense Jacobian of the residuals, with priors."""
     unknowns = Unknowns(time_offset={"north": Prior(0.01), "south": Free()}, readout=Prior(0.02), shift=Prior(0.05))
-    found = adjust(moving(late(exposed(truth(), READOUT), OFFSET).noisy(1)), unknowns)
+    found = adjust(moving(late(exposed(truth(), READOUT), OFFSET).noisy(1), **changes), unknowns, screen=None)
+    assert len(found.log) < 25
     problem, values = found.prepared.problem, found.solution.values
     n, rows = problem.n, values.points.shape[0]
 
@@ -301,6 +309,57 @@ def test_motion_on_a_trajectory_is_that_of_its_knots() -> None:
     np.testing.assert_allclose(turn_rate[0], [0.01, -0.02, 0.03], atol=1e-9)
     with pytest.raises(ValueError, match="an image is at"):
         motion_on_trajectory(of.frame, of.sensor, path, [time + 10.0])
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("kind", ["two_axis", "drone"])
+def test_turn_rates_are_those_of_the_head(kind: str) -> None:
+    """Of a gimbal that turns on a turning body: against the orientations that follow each other."""
+    of = simulated(kind)
+    shot = jax.tree.map(lambda x: np.asarray(x, float)[3], of.shots)
+    rates = {
+        "body_rates": np.array([0.01, -0.02, 0.03]),
+        "gimbal_rates": np.array([0.05, -0.04, 0.02][: len(shot.gimbal_readings)]),
+    }
+    path = Trajectory.steady(shot, velocity_ned=np.array([40.0, 5.0, -1.0]), **rates)
+    time, step = float(shot.time), 1e-3
+    _, turn_rate = motion_on_trajectory(of.frame, of.sensor, path, [time])
+    ends = [np.asarray(of.sensor.sight(path.at(time + k * step)).R_ecef_from_camera) for k in (-1.0, 1.0)]
+    spin = Rotation.from_matrix(ends[1] @ ends[0].T).as_rotvec() / (2.0 * step)
+    block = of.block()
+    navigation = block.navigation
+    assert navigation is not None
+    in_frame = np.asarray(of.frame.R_ecef_from_local).T @ spin
+    np.testing.assert_allclose(turn_rate[0], navigation.R_frame_from_reference[3].T @ in_frame, atol=1e-6)
+    head = navigation.R_frame_from_reference[3] @ navigation.R_reference_from_head[3]
+    R = head @ np.asarray(of.sensor.mount.R_head_from_camera)
+    np.testing.assert_allclose(R, of.R_frame_from_camera[3], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_cameras_have_their_own_readouts() -> None:
+    """Two cameras, one that exposes all rows at once; and one camera for each image, solved for with it."""
+    of = exposed(truth(), READOUT)
+    image, _ = indices(of)
+    names = np.array(of.names)
+    uv = np.where((image < 5)[:, None], of.observations.uv, truth().observations.uv)
+    block = moving(replace(of, observations=replace(of.observations, uv=uv)))
+    assert block.navigation is not None
+    camera = block.cameras["camera"]
+    images = replace(block.images, camera=np.where(np.arange(15) < 5, "rolling", "frame"))
+    both = replace(block, images=images, cameras={"rolling": camera, "frame": camera})
+    found = adjust(both, Unknowns(readout={"rolling": Free()}, focal=Free()))
+    assert found.readouts == {"rolling": pytest.approx(READOUT, abs=1e-7), "frame": 0.0}
+    assert {p.whose for p in found.parameters if p.name == "readout"} == {"camera rolling"}
+    own = replace(
+        block, images=replace(images, camera=names), cameras=dict.fromkeys(names.tolist(), camera),
+        readout=dict.fromkeys(names[:5].tolist(), READOUT),
+    )  # fmt: skip
+    alone = adjust(own, Unknowns(focal=Prior(10.0), readout=Prior(1e-3)))
+    assert alone.prepared.problem.own_lens
+    assert np.max(np.abs(alone.residuals)) < 1e-4  # px
+    assert len([p for p in alone.parameters if p.name == "readout"]) == 15
+    assert alone.readouts["i00"] == pytest.approx(READOUT, abs=1e-6)
 
 
 def test_joined_navigation_keeps_what_is_known_of_the_motion() -> None:
