@@ -213,6 +213,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 "
     "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 --report "
     "--mosaic m.tif --resolution 0.1 -o out",
+    "adjust FILE --images i --dem dem.tif --time-offset-sigma 0.05 --readout -0.03 --readout-sigma 0.01 --refraction "
+    "-o out",
     f"footprint FILE --dem dem.tif {FILE}",
     f"footprint FILE --ground 300 --dem-datum EPSG:5773 {FILE} -o footprints.gpkg --style",
     f"point FILE --target 1,2,3 {FILE} --camera-datum ellipsoid",
@@ -367,6 +369,10 @@ REFUSED = [
     (
         "adjust images --camera-datum ellipsoid --dem dem.tif --features sift --measure orientation -o out",
         r"--measure orientation: is how areas are compared, but --features sift matches keypoints; give one of .*",
+    ),
+    (
+        "adjust images --camera-datum ellipsoid --dem dem.tif --readout 30 -o out",
+        r"--readout 30: give the readout time in s, up to 10: 0\.03 is 30 ms\.",
     ),
     ("locte", r"locte: no such command; did you mean locate\? See jaxgeo --help\."),
     ("study li2024", r"li2024: no such command; did you mean li20\d\d\? See jaxgeo study --help\."),

@@ -12,6 +12,7 @@ from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.intersection import Intersection, forward_intersection
 from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tukey
+from jaxgeo.adjust.motion import motion_by_differences, motion_on_trajectory
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.rank_defects import DeficientBlock, Direction
@@ -66,6 +67,8 @@ __all__ = [
     "blunders",
     "calibration",
     "forward_intersection",
+    "motion_by_differences",
+    "motion_on_trajectory",
     "reliability",
     "resect_block",
     "resect_image",

@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.sensor import Sensor
 from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight
 from jaxgeo.uncertainty.sources import (
@@ -47,9 +48,11 @@ def calibration(
 
     `camera` and `mount` are names; they may be omitted where there is only one. Covariances are those of the
     adjustment, times `sigma0` squared if `scaled`. `sharing` is the correlation of the errors between images, by
-    default per flight. Raises `ValueError` for unknown names, for a gimbal whose angle reference differs from that of
-    the block, for an unknown pixel aspect (error models do not support it), and for `scaled` without redundancy, where
-    `sigma0` is undefined.
+    default per flight. Readout and refraction are not part of it: a rolling shutter is a camera of its own
+    (`RollingShutterCamera.from_readout` of the adjusted camera and `Adjustment.readouts`), refraction is of the air.
+    Raises `ValueError` for unknown names, for a gimbal whose angle reference differs from that of the block, for an
+    unknown pixel aspect (error models do not support it), and for `scaled` without redundancy, where `sigma0` is
+    undefined.
     """
     camera = _one(camera, list(adjustment.cameras), "camera")
     found = Sensor(adjustment.cameras[camera]) if sensor is None else sensor
@@ -58,7 +61,10 @@ def calibration(
         mount = _one(mount, list(adjustment.mounts), "mount")
         _check_reference(adjustment, mount, found)
         found = eqx.tree_at(lambda s: s.mount, found, adjustment.mounts[mount])
-    chosen = [(i, p) for i, p in enumerate(adjustment.parameters) if p.whose in (f"camera {camera}", f"mount {mount}")]
+    owners = f"camera {camera}", f"mount {mount}"
+    chosen = [
+        (i, p) for i, p in enumerate(adjustment.parameters) if p.whose in owners and p.name not in (READOUT, REFRACTION)
+    ]
     if any(p.name == "aspect" for _, p in chosen):
         raise ValueError(f"the aspect of camera {camera} was unknown; adjust with aspect=Fixed() for an error model.")
     if not chosen:

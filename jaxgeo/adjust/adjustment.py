@@ -29,14 +29,24 @@ from jaxgeo.adjust.posterior import (
 )
 from jaxgeo.adjust.problem import Prepared
 from jaxgeo.adjust.rank_defects import Direction, weakest_directions
+from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.adjust.screening import Screened
 from jaxgeo.adjust.solve import Iteration, Solution
 from jaxgeo.adjust.unknowns import Unknowns
-from jaxgeo.adjust.values import POSE, with_interior
+from jaxgeo.adjust.values import POSE, STRIP, with_interior
 from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.sensor import FrameCamera, Mount
 
-UNITS = {"focal": "px", "principal": "px", "boresight": "rad", "lever arm": "m", "shift": "m", "drift": "m/s"}
+UNITS = {
+    "focal": "px",
+    "principal": "px",
+    "boresight": "rad",
+    "lever arm": "m",
+    "shift": "m",
+    "drift": "m/s",
+    "time offset": "s",
+    "readout": "s",
+}
 MINUTES = 60.0  # of arc in a degree
 
 
@@ -199,7 +209,30 @@ class Adjustment:
     @cached_property
     def strips(self) -> dict[str, np.ndarray]:
         """Shift (m) and drift (m/s), east, north and up of the frame, of the navigation positions per strip."""
-        return dict(zip(self.prepared.names.strip, np.asarray(self.solution.values.strip), strict=True))
+        found = np.asarray(self.solution.values.strip)[:, :STRIP]
+        return dict(zip(self.prepared.names.strip, found, strict=True))
+
+    @cached_property
+    def time_offsets(self) -> dict[str, float]:
+        """Time offset of the navigation per strip, s; zero if none was unknown."""
+        found = np.pad(np.asarray(self.solution.values.strip), ((0, 0), (0, 1)))[:, STRIP]
+        return dict(zip(self.prepared.names.strip, found.tolist(), strict=True))
+
+    @cached_property
+    def readouts(self) -> dict[str, float]:
+        """Readout time of each camera, s, as of `RollingShutterCamera.from_readout`; those of a frame camera are 0."""
+        return self._of_effects(READOUT)
+
+    @cached_property
+    def refractions(self) -> dict[str, float]:
+        """Factor on the bending of rays of each camera in the block's atmosphere; 0 without one."""
+        return self._of_effects(REFRACTION)
+
+    def _of_effects(self, name: str) -> dict[str, float]:
+        effects, names = self.prepared.problem.effects, self.prepared.names.camera
+        if effects is None or name not in effects.names:
+            return dict.fromkeys(names, 0.0)
+        return dict(zip(names, effects.entry(self.solution.values, name).tolist(), strict=True))
 
     @cached_property
     def common(self) -> dict[str, tuple[float, float]]:
@@ -308,7 +341,8 @@ class Adjustment:
             sigma = float(np.sqrt(self._variances[at]))
             value = float(np.asarray(numbers)[row, entry])
             before = 1.0 / information if information else float("inf")
-            found.append(Parameter(whose, name, value, sigma, before, UNITS.get(name.rsplit(" ", 1)[0], "1")))
+            unit = UNITS.get(name) or UNITS.get(name.rsplit(" ", 1)[0], "1")
+            found.append(Parameter(whose, name, value, sigma, before, unit))
         return found
 
     @cached_property
@@ -328,7 +362,7 @@ class Adjustment:
                     at = image * problem.of_image + POSE + column
                     found.append((at, f"camera {names.camera[camera]}", lens, "camera", int(camera), column))
         at = problem.n * problem.of_image
-        sizes = {"camera": len(names.lens), "mount": 6, "strip": 6}
+        sizes = {"camera": len(names.lens), "mount": 6, "strip": problem.strip.free.shape[1]}
         counts: dict[str, int] = {}
         for offset, (whose, what) in enumerate(names.columns(problem)):
             kind = whose.split()[0]

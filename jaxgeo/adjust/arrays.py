@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._record import Record
 from jaxgeo.adjust.collinearity import Observed
 from jaxgeo.adjust.layout import Layout
+from jaxgeo.adjust.ray_effects import RayEffects
 from jaxgeo.adjust.values import POSE, Step, Values
 from jaxgeo.sensor import FrameCamera
 
@@ -28,7 +29,8 @@ class Problem(Record):
     `active` are the unknown columns of the lenses. With `own_lens` each image has its own camera and lens, which is
     eliminated and solved for with the image. `mounts` and `strips` state whether any of these is unknown; `common`
     (1, k) are the numbers of the navigation errors that images share, always unknown. Control points are `place`
-    (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance.
+    (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance. `effects` are those of readout and
+    refraction, if any.
     """
 
     layout: Layout
@@ -50,6 +52,7 @@ class Problem(Record):
     own_lens: bool = eqx.field(static=True)
     mounts: bool = eqx.field(static=True)
     strips: bool = eqx.field(static=True)
+    effects: RayEffects | None = None
 
     @property
     def n(self) -> int:
@@ -60,6 +63,11 @@ class Problem(Record):
     def of_image(self) -> int:
         """Columns per image in the reduced system."""
         return POSE + (len(self.active) if self.own_lens else 0)
+
+    @property
+    def active_interior(self) -> tuple[int, ...]:
+        """The unknown columns of interior orientation and lens, without those of `effects`."""
+        return self.active if self.effects is None else tuple(i for i in self.active if i < self.effects.first)
 
     @property
     def of_lenses(self) -> int:

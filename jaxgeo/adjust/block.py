@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -13,10 +13,11 @@ from jaxgeo._checks import check_is, require_x64
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.navigation import Navigation, joined, navigation_of, sights_of
+from jaxgeo.adjust.readout import checked_readout, has_readout, known_motion
 from jaxgeo.adjust.records import ImagePoints, Names, as_names
-from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.earth.geodetic import check_position
-from jaxgeo.sensor import FrameCamera, Sensor, Shot
+from jaxgeo.sensor import FrameCamera, Sensor, Shot, Trajectory
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ class Images:
             i = int(np.argmax(~turned))
             what = "R_frame_from_camera must be a rotation" if whole[i] else "centre and rotation must be finite"
             raise ValueError(f"image {name[i]}: {what}; got centre {centre[i].tolist()}, rotation {R[i].tolist()}.")
-        for field, value in (("name", name), ("camera", camera), ("centre", centre), ("R_frame_from_camera", R)):
-            object.__setattr__(self, field, value)
+        for what, value in (("name", name), ("camera", camera), ("centre", centre), ("R_frame_from_camera", R)):
+            object.__setattr__(self, what, value)
 
     def rows_of(self, names: np.ndarray) -> np.ndarray:
         """Index (k,) of each of these names (k,) among the images."""
@@ -69,9 +70,16 @@ class Block:
 
     `cameras` by name, all with the same kind of lens; `images`; `observations`, the measured image points; `control`,
     ground points known beforehand; `navigation`, observed positions and attitudes of the images; `points`, start
-    positions of some points (others start where their rays intersect). All positions are in `frame`, in m. Raises
-    `ValueError` with the name of an unknown image or camera or of a point with a single measurement and no control, and
-    for a block without points.
+    positions of some points (others start where their rays intersect). All positions are in `frame`, in m.
+
+    `readout` is the readout time of rolling-shutter cameras in s, a number for all or a mapping from their names, as of
+    `RollingShutterCamera.from_readout`: from the first row of an image to that of the next, negative from the bottom
+    up. Orientations are then those of the middle row, half a readout after the first, and so is the navigation. With an
+    `atmosphere`, rays are refracted.
+
+    Raises `ValueError` with the name of an unknown image or camera or of a point with a single measurement and no
+    control, for a block without points, for a readout without velocities and turn rates in the navigation, and for an
+    atmosphere in a frame that is not on the Earth.
     """
 
     frame: LocalFrame | Cartesian
@@ -81,6 +89,8 @@ class Block:
     control: GroundPoints | None = None
     navigation: Navigation | None = None
     points: GroundPoints | None = None
+    readout: Any = field(default_factory=dict)
+    atmosphere: Atmosphere | None = None
 
     def __post_init__(self) -> None:
         require_x64()
@@ -89,6 +99,7 @@ class Block:
         self._check_cameras()
         self._check_images()
         self._check_points()
+        self._check_effects()
 
     @classmethod
     def from_shots(
@@ -104,13 +115,23 @@ class Block:
         frame: LocalFrame | None = None,
         camera: str = "camera",
         strip: Any = None,
+        velocity: Any = None,
+        turn_rate: Any = None,
+        trajectory: Trajectory | None = None,
+        readout: float = 0.0,
+        atmosphere: Atmosphere | None = None,
     ) -> Block:
         """A block of n images of one sensor, from their shots (a `Shot` whose fields have a leading axis).
 
         The shots are both navigation observations with `sigma_position` (east, north, up, m) and `sigma_attitude`
         (heading, pitch, roll, rad; numbers, (3,), (n, 3) or covariances (n, 3, 3), infinite if unknown), and start
-        values. `strip` names the strip of each image for shift and drift. The default `frame` is that at the centre of
-        the images. Raises as `Block` and `Images`.
+        values. `strip` names the strip of each image for shift, drift and time offset. The default `frame` is that at
+        the centre of the images.
+
+        `velocity` and `turn_rate` (n, 3) of the images are those of `Navigation`. Those not given are of the
+        `trajectory` at the times of the shots, or else by differences between neighbouring images of a strip over their
+        times, which takes motion between them as even (`motion_by_differences`). `readout` in s and `atmosphere` are
+        those of `Block`. Raises as `Block`, `Images` and `navigation_of`.
         """
         name = as_names(image, "image")
         check_is(sensor.camera, FrameCamera, "sensor.camera", "Blocks are of frame cameras.")
@@ -118,19 +139,24 @@ class Block:
         centre, R = sights_of(frame, sensor, shots)
         images = Images(name, np.full(len(name), camera), centre, R)
         strip = np.full(len(name), "strip") if strip is None else strip
-        navigation = navigation_of(frame, sensor, shots, sigma_position, sigma_attitude, camera, strip)
+        moving = {"velocity": velocity, "turn_rate": turn_rate, "trajectory": trajectory}
+        navigation = navigation_of(frame, sensor, shots, sigma_position, sigma_attitude, camera, strip, **moving)
         assert isinstance(sensor.camera, FrameCamera)
-        return cls(frame, {camera: sensor.camera}, images, observations, control, navigation)
+        effects = {"readout": {camera: readout} if readout != 0.0 else {}, "atmosphere": atmosphere}
+        return cls(frame, {camera: sensor.camera}, images, observations, control, navigation, **effects)
 
     def with_block(self, other: Block) -> Block:
         """Merge two blocks: more cameras, flights or observations over the same ground, in this block's frame.
 
-        Raises `ValueError` for different frames, for cameras, mounts and control points of one name with different
-        values, and as `Block`.
+        Raises `ValueError` for different frames and atmospheres, for cameras, readouts, mounts and control points of
+        one name with different values, and as `Block`.
         """
         if not _same(self.frame, other.frame):
             raise ValueError("blocks are joined in one frame; make the other with frame=block.frame.")
+        if not _same(self.atmosphere, other.atmosphere):
+            raise ValueError("blocks are joined in one atmosphere; make the other with atmosphere=block.atmosphere.")
         _refuse_others("camera", self.cameras, other.cameras)
+        _refuse_others("readout of camera", *(dict.fromkeys(b.cameras, 0.0) | b.readout for b in (self, other)))
         mine, theirs = self.images, other.images
         fields = ("name", "camera", "centre", "R_frame_from_camera")
         images = Images(*(np.concatenate([getattr(mine, f), getattr(theirs, f)]) for f in fields))
@@ -147,6 +173,7 @@ class Block:
             control=_with_points(self.control, other.control, "control"),
             points=_with_points(self.points, other.points, "points"),
             navigation=joined(navigation) if navigation else None,
+            readout={**self.readout, **other.readout},
         )
 
     def of(self, rows: np.ndarray) -> Block:
@@ -202,6 +229,18 @@ class Block:
                 f"the navigation must have an entry for each of {len(self.images)} images; got "
                 f"{len(self.navigation.position)}."
             )
+
+    def _check_effects(self) -> None:
+        object.__setattr__(self, "readout", checked_readout(self.readout, self.cameras))
+        if has_readout(self):
+            moving = np.array([self.readout.get(name, 0.0) != 0.0 for name in self.images.camera.tolist()])
+            known_motion(self, moving, "Block.readout")
+        if self.atmosphere is not None:
+            check_is(self.atmosphere, Atmosphere, "atmosphere")
+            if not isinstance(self.frame, LocalFrame):
+                raise ValueError(
+                    "atmosphere= takes a block in a LocalFrame: a Cartesian frame has no height above the ground."
+                )
 
     def _check_points(self) -> None:
         if not len(self.observations):

@@ -25,7 +25,7 @@ from jaxgeo.adjust.collinearity import Observed, navigation_residual
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.problem import observed_of
 from jaxgeo.adjust.reduction import on_diagonal, solve_reduced, undamped
-from jaxgeo.adjust.values import POSE, Values
+from jaxgeo.adjust.values import POSE, STRIP, Values
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import Mount
 
@@ -74,7 +74,8 @@ def two_step_boresight(
     if len(own) < 2:
         raise ValueError(f"mount {name} has {len(own)} images; a boresight in two steps takes at least two.")
     problem, values = ready.problem, adjustment.solution.values
-    observed = observed_of(replace(block, navigation=navigation), ready.names)
+    offsets = np.asarray(ready.problem.strip.free)[:, STRIP:]
+    observed = observed_of(replace(block, navigation=navigation), ready.names, offsets)
     found = _two_step(
         problem,
         undamped(problem, adjustment.solution.equations)[1],

@@ -25,6 +25,7 @@ from jaxgeo.adjust.observing import Observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.rank_defects import DeficientBlock, Direction, datum_words, weakest_directions
+from jaxgeo.adjust.refined import refined
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import HeightObservations
@@ -98,7 +99,8 @@ def adjust(
 
     Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019, Eqs
     1 and 3-5). A `loss` applies to image points and control. `terrain` adds observations of the points' heights on a
-    terrain model (`HeightObservations`). `callback` is called with every iteration.
+    terrain model (`HeightObservations`). `callback` is called with every iteration. The bending of rays is that at the
+    solution, from which the iterations continue once.
 
     Before the first iteration, image points and control that disagree with all others by more than `screen` standard
     deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` lists them. Those that agree with the
@@ -116,6 +118,7 @@ def adjust(
         screened, start = start_by_ties(block, ready, screened, screen)
         screened = replace(screened, poor=True)
     full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+    _check_datum(full, datum)
     ready = masked(block, full, screened.kept)
     solution = solve(ready.problem, loss, solver, callback, start)
     if screen is not None and screened.aside and solution.converged:
@@ -124,9 +127,8 @@ def adjust(
             full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
             ready = masked(block, full, screened.kept)
             start = placed(block, full, solution.values, before.kept, screened.kept)
-            first, solution = solution, solve(ready.problem, loss, solver, callback, start)
-            more = (replace(one, number=one.number + first.log[-1].number) for one in solution.log[1:])
-            solution = solution._replace(log=(*first.log, *more))
+            solution = solve(ready.problem, loss, solver, callback, start).after(solution)
+    ready, solution = refined(ready, solution, loss, solver, callback)
     found = _unless_deficient(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
     if found is None:  # the start was too poor to judge what the block needs
         assert screen is not None  # without it nothing is set aside
@@ -136,6 +138,7 @@ def adjust(
         screened = taken_back(block, whole, robust.values, screened, screen)
         ready = masked(block, prepared(block, unknowns, terrain, set_aside(block, screened.kept)), screened.kept)
         solution = solve(ready.problem, loss, solver, callback, robust.values)
+        ready, solution = refined(ready, solution, loss, solver, callback)
         found = adjusted(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
     if screened.aside:
         warnings.warn(
@@ -145,6 +148,15 @@ def adjust(
             stacklevel=2,
         )
     return found
+
+
+def _check_datum(ready: Prepared, datum: InnerConstraints | None) -> None:
+    """Refuse a free network of rays that depend on the velocity and on the vertical."""
+    if datum is not None and ready.problem.effects is not None:
+        raise ValueError(
+            "datum=InnerConstraints() takes rays that do not depend on where the whole lies; those of a readout depend "
+            "on the velocity of the navigation, refracted ones on the vertical. Give navigation or control."
+        )
 
 
 def _unless_deficient(block: Block, *given: Any) -> Adjustment | None:
@@ -168,6 +180,7 @@ def adjusted(
     screened: Screen,
 ) -> Adjustment:
     """`Adjustment` from the solution of a block, if it is determined and its points are visible. Raises as `adjust`."""
+    _check_datum(ready, datum)
     observed, whole = _observed_whole(ready, solution)
     if solution.converged:
         _check_parallax(block, ready, solution, observed)

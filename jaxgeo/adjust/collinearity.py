@@ -70,7 +70,7 @@ class Observed(Record):
 
     `centred_time` is s after the strip's mean time; `level` states whether the gimbal reports in local level. `common`
     (6, k) is the error of position and attitude for each of the numbers that images share. `rows` are further
-    observations of the orientation, if any.
+    observations of the orientation, if any; `velocity` and `turn_rate` are there where time offsets are unknown.
     """
 
     position: Any
@@ -86,6 +86,8 @@ class Observed(Record):
     centred_time: Any
     common: Any
     rows: ObservedRows | None = None
+    velocity: Any = None
+    turn_rate: Any = None
 
 
 def navigation_residual(
@@ -94,7 +96,7 @@ def navigation_residual(
     R: Matrix3,
     boresight: Matrix3,
     lever: Vector3,
-    strip: Float[Array, "6"],
+    strip: Float[Array, " of_strip"],
     common: Float[Array, " k"],
     lens: Any = None,
 ) -> Float[Array, " rows"]:
@@ -104,7 +106,8 @@ def navigation_residual(
     Positions use the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
     Eq 5, where the lever arm's sign is that of the IMU seen from the camera). Attitudes are the rotation vector between
     the observed and predicted orientation of the reference, in its own axes (Eq 3, without the singularity of its
-    angles). `common` numbers move both by the errors that images share.
+    angles). `common` numbers move both by the errors that images share. A time offset, the seventh number of a strip,
+    moves positions by it times the velocity, and attitudes by it times the turn rate.
     """
     # # The boresight rotates base against body, or, for local level without a base, camera against head.
     before = jnp.where(observed.level, jnp.eye(3), matmul3(boresight, observed.R_body_from_base))
@@ -114,11 +117,16 @@ def navigation_residual(
     R_frame_from_head = matmul3(R, R_head_from_camera.T)
     R_reference_from_head = matmul3(before, observed.R_base_from_head)
     implied = matmul3(R_frame_from_head, R_reference_from_head.T)
-    turn = rotation_vector_from_R(matmul3(observed.R_frame_from_reference.T, implied))
+    reported = implied
+    if observed.velocity is not None:
+        reported = matmul3(implied, R_from_rotation_vector(strip[6] * observed.turn_rate))
+    turn = rotation_vector_from_R(matmul3(observed.R_frame_from_reference.T, reported))
     R_frame_from_body = jnp.where(observed.level, observed.R_frame_from_body, implied)
     imu = centre - matvec(R_frame_from_body, lever) - matvec(R_frame_from_head, observed.lever_head)
     shared = observed.common @ common
-    off = imu + strip[:3] + observed.centred_time * strip[3:] - observed.position - shared[:3]
+    off = imu + strip[:3] + observed.centred_time * strip[3:6] - observed.position - shared[:3]
+    if observed.velocity is not None:
+        off = off + strip[6] * observed.velocity
     turn = turn - shared[3:]
     found = [matvec(observed.information_position, off), matvec(observed.information_attitude, turn)]
     if observed.rows is not None and lens is not None:
@@ -132,13 +140,13 @@ def navigation_linear(
     R: Matrix3,
     boresight: Matrix3,
     lever: Vector3,
-    strip: Float[Array, "6"],
+    strip: Float[Array, " of_strip"],
     common: Float[Array, " k"],
     lens: Any = None,
 ) -> tuple[Float[Array, " rows"], Float[Array, "rows columns"]]:
-    """The same residuals and their derivatives by pose (6), mount (6), strip (6) and common numbers (k)."""
+    """The same residuals and their derivatives by pose (6), mount (6), strip (6 or 7) and common numbers (k)."""
 
-    def residual(step: Float[Array, "18"]) -> Float[Array, " rows"]:
+    def residual(step: Float[Array, " own"]) -> Float[Array, " rows"]:
         pose, mount, of_strip = step[:6], step[6:12], step[12:]
         return navigation_residual(
             observed,
@@ -151,7 +159,7 @@ def navigation_linear(
             lens,
         )
 
-    at = jnp.zeros(18)
+    at = jnp.zeros(12 + strip.shape[0])
     weights = observed.information_position, observed.information_attitude
     by_common = [
         -weight @ part for weight, part in zip(weights, (observed.common[:3], observed.common[3:]), strict=True)

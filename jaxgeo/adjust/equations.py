@@ -19,7 +19,7 @@ from jaxgeo.adjust.collinearity import (
 )
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.measurements import LEAST_WEIGHT, image_points, image_residuals
-from jaxgeo.adjust.values import MOUNT, POSE, STRIP, Values
+from jaxgeo.adjust.values import MOUNT, POSE, Values
 from jaxgeo.rotations import rotation_vector_from_R
 
 
@@ -222,14 +222,15 @@ def navigation_columns(problem: Problem, by: Float[Array, "n rows columns"]) -> 
         camera = jax.nn.one_hot(problem.layout.camera, problem.lens.free.shape[0], dtype=jnp.float64)
         own = own[:, :, None, :] * (camera[:, :, None] * problem.lens.free[None])[:, None]
         parts[0] = parts[0].at[:, -own.shape[1] :].set(own.reshape(n, own.shape[1], -1))
+    of_strip = problem.strip.free.shape[1]
     both = ((problem.mounts, problem.mount, problem.mount_of, POSE, MOUNT),)
-    both += ((problem.strips, problem.strip, problem.strip_of, POSE + MOUNT, STRIP),)
+    both += ((problem.strips, problem.strip, problem.strip_of, POSE + MOUNT, of_strip),)
     for there, known, number, first, size in both:
         if there:
             of = jax.nn.one_hot(number, known.free.shape[0], dtype=jnp.float64)
             own = by[:, :, first : first + size] * known.free[number][:, None, :]
             parts.append((of[:, None, :, None] * own[:, :, None, :]).reshape(n, rows, -1))
-    parts.append(by[:, :, POSE + MOUNT + STRIP :])
+    parts.append(by[:, :, POSE + MOUNT + of_strip :])
     return jnp.concatenate(parts, axis=-1)
 
 

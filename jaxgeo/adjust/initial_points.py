@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxgeo._compile import sized_filter_jit
 from jaxgeo.adjust.block import Block
+from jaxgeo.adjust.readout import has_readout, in_motion
 from jaxgeo.sensor import FrameCamera
 
 SIZES = (64, 1024, 65536)  # batch sizes of the ray computation
@@ -63,7 +64,8 @@ def of_parallel_rays(block: Block) -> np.ndarray:
 
 
 def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(perspective centres (k, 3), unit directions (k, 3) in the block's frame) of the chosen measurements.
+    """(perspective centres (k, 3), unit directions (k, 3) in the block's frame) of the chosen measurements, each at the
+    time of its row.
 
     Raises `ValueError` naming image and point where the lens has no ray for a pixel.
     """
@@ -81,7 +83,11 @@ def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.nda
             f"at {observations.uv[row].tolist()} "
             f"px, as its lens folds there; is the pixel, or the lens, that of another camera?"
         )
-    return images.centre[image], np.einsum("nij,nj->ni", images.R_frame_from_camera[image], direction)
+    centre, direction = images.centre[image], np.einsum("nij,nj->ni", images.R_frame_from_camera[image], direction)
+    if not has_readout(block):
+        return centre, direction
+    shift, turn = in_motion(block, image, observations.uv[chosen, 1])
+    return centre + shift, np.einsum("nij,nj->ni", turn, direction)
 
 
 def camera_rays(camera: FrameCamera, uv: np.ndarray) -> np.ndarray:

@@ -7,12 +7,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxgeo._compile import one_program, sized_filter_jit
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.collinearity import pixel_linear, pixel_of
-from jaxgeo.adjust.layout import Layout
+from jaxgeo.adjust.layout import Layout, gathered
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.values import Values, with_interior
 
@@ -55,7 +55,7 @@ def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[
     cameras, lens, R, offset = _of_measurements(problem, values)
     d = _in_camera(layout, R, offset)
     ideal = d[:2] / d[2:]
-    linear = jax.vmap(partial(_pixel_linear, problem.active), in_axes=-1, out_axes=-1)
+    linear = jax.vmap(partial(_pixel_linear, problem.active_interior), in_axes=-1, out_axes=-1)
     found = jax.lax.optimization_barrier((R, d, ideal, linear(cameras, lens, ideal)))
     R, d, ideal, (predicted, by_ideal, by_lens) = found
     R, d, ideal = R[:, :, None], d[:, None], ideal[:, None]  # for both axes
@@ -66,12 +66,16 @@ def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[
     x, y = (by * (weight / d[2]) for by in by_ideal)  # derivatives of both axes by d
     z = -(x * ideal[0] + y * ideal[1])
     by_point = [x * R[i, 0] + y * R[i, 1] + z * R[i, 2] for i in range(3)]
+    by_effects = None if problem.effects is None else _by_effects(problem, by_point, offset)
     # # A camera rotation t rotates its view in the opposite sense, d - t x d.
     by_turn = [y * d[2] - z * d[1], z * d[0] - x * d[2], x * d[1] - y * d[0]]
     free_point, free_pose = layout.to_rays(problem.free_point.T), gathered(problem.free_pose, image)
     by_pose = [by * free[None] for by, free in zip((*(-by for by in by_point), *by_turn), free_pose, strict=True)]
     by_point = [by * free[None] for by, free in zip(by_point, free_point, strict=True)]
-    by_lens = [by * weight * free[None] for by, free in zip(by_lens, gathered(problem.lens.free, camera), strict=True)]
+    free_lens = gathered(problem.lens.free, camera)
+    by_lens = [by * weight * free[None] for by, free in zip(by_lens, free_lens, strict=by_effects is None)]
+    if by_effects:
+        by_lens += [by * free[None] for by, free in zip(by_effects, free_lens[len(by_lens) :], strict=True)]
     by_lens = jnp.stack(by_lens, axis=1) if by_lens else jnp.zeros((2, 0, image.shape[0]))
     return residual * root, jnp.stack(by_point, axis=1), jnp.stack(by_pose, axis=1), by_lens, loss.rho(squared)
 
@@ -88,14 +92,20 @@ def _of_measurements(problem: Problem, values: Values) -> Any:
     cameras = jax.tree.map(lambda x: gathered(x, camera), problem.cameras)
     offset = layout.to_rays(values.points.T) - gathered(values.centre, image)
     given = cameras, gathered(values.lens, camera), gathered(values.R_frame_from_camera, image), offset
-    return jax.lax.optimization_barrier(given)
+    given = jax.lax.optimization_barrier(given)
+    if problem.effects is None:
+        return given
+    cameras, lens, R, offset = given
+    return jax.lax.optimization_barrier((cameras, lens, *problem.effects.applied(layout, lens, R, offset)))
 
 
-def gathered(table: Float[Array, "some ..."], at: Int[Array, " obs"]) -> Float[Array, "... obs"]:
-    """Entries of a small table with the batch axis last; element-wise gathers are faster than row-wise ones."""
-    columns = table.reshape(table.shape[0], -1).T
-    found = [column.at[at].get(mode="promise_in_bounds") for column in columns]
-    return jnp.stack(found).reshape(*table.shape[1:], at.shape[0]) if found else jnp.zeros((0, at.shape[0]))
+def _by_effects(problem: Problem, by_point: list[Array], offset: Float[Array, "3 obs"]) -> list[Float[Array, "2 obs"]]:
+    """Weighted derivatives by the unknown entries of `effects`, from those by the point."""
+    effects = problem.effects
+    assert effects is not None
+    shifts = effects.by_entries(problem.layout, offset)
+    chosen = [i - effects.first for i in problem.active if i >= effects.first]
+    return [_sum(by * shift[None] for by, shift in zip(by_point, shifts[k], strict=True)) for k in chosen]
 
 
 def _in_camera(layout: Layout, R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:

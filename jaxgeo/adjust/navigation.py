@@ -12,10 +12,11 @@ import numpy as np
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._compile import sized_filter_jit
 from jaxgeo.adjust.frame import LocalFrame
+from jaxgeo.adjust.motion import checked_motion, motion_by_differences, motion_on_trajectory
 from jaxgeo.adjust.pose_rows import PoseRows
 from jaxgeo.adjust.records import Names, as_names
 from jaxgeo.earth import R_ecef_from_enu
-from jaxgeo.sensor import Mount, Sensor, Shot
+from jaxgeo.sensor import Mount, Sensor, Shot, Trajectory
 from jaxgeo.sensor.platform import Station
 
 
@@ -47,6 +48,12 @@ class Navigation:
     normal priors; the information of the positions and attitudes is that of the other errors."""
     pose_rows: PoseRows | None = None
     """Further observations of the orientations of the cameras themselves, such as of a map."""
+    velocity: np.ndarray | None = None
+    """Velocities (n, 3) of the IMU at the exposures, m/s in frame axes, NaN where unknown. An unknown time offset, and
+    a readout, need them."""
+    turn_rate: np.ndarray | None = None
+    """Turn rates (n, 3) of the gimbal's head (of the body, without a moving gimbal) relative to the frame, rad/s about
+    the axes of the reference, NaN where unknown."""
 
     @property
     def names_of_common(self) -> tuple[str, ...]:
@@ -64,7 +71,15 @@ class Navigation:
         arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in _ARRAYS}
         common = {name: errors[rows] for name, errors in self.common.items()}
         measured = None if self.pose_rows is None else self.pose_rows.of(rows)
-        return Navigation(**arrays, mounts=self.mounts, common=common, pose_rows=measured)
+        moving: dict[str, Any] = {n: None if (x := getattr(self, n)) is None else x[rows] for n in _MOTION}
+        return Navigation(**arrays, mounts=self.mounts, common=common, pose_rows=measured, **moving)
+
+    @property
+    def R_reference_from_head(self) -> np.ndarray:
+        """(n, 3, 3): from the gimbal angles, and, for angles against the body, the boresight of the mount."""
+        level = np.array([self.mounts[name][1] for name in self.mount.tolist()])
+        base = np.array([np.asarray(self.mounts[name][0].R_body_from_base, float) for name in self.mount.tolist()])
+        return np.where(level[:, None, None], np.eye(3), base) @ self.R_base_from_head
 
     def loosened(self, factor: float) -> Navigation:
         """A copy with standard deviations `factor` times as large, for start values with negligible weight."""
@@ -76,7 +91,10 @@ class Navigation:
         )
 
 
-_ARRAYS = tuple(name for name in Navigation.__dataclass_fields__ if name not in ("mounts", "common", "pose_rows"))
+_MOTION = ("velocity", "turn_rate")
+_ARRAYS = tuple(
+    name for name in Navigation.__dataclass_fields__ if name not in ("mounts", "common", "pose_rows", *_MOTION)
+)
 
 
 def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
@@ -87,13 +105,25 @@ def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarra
 
 
 def navigation_of(
-    frame: LocalFrame, sensor: Sensor, shots: Shot, sigma_position: Any, sigma_attitude: Any, mount: str, strip: Names
+    frame: LocalFrame,
+    sensor: Sensor,
+    shots: Shot,
+    sigma_position: Any,
+    sigma_attitude: Any,
+    mount: str,
+    strip: Names,
+    *,
+    velocity: Any = None,
+    turn_rate: Any = None,
+    trajectory: Trajectory | None = None,
 ) -> Navigation:
     """Navigation of n shots (fields with a leading axis), all with one mount.
 
     `sigma_position` east, north, up in m: a number, (3,), (n, 3) or covariances (n, 3, 3); infinite if not observed.
     `sigma_attitude` heading, pitch, roll in rad, likewise; about the axes north, east and down for a gimbal that
-    reports in local level. Raises `ValueError` for sigmas that are not positive.
+    reports in local level. `velocity` and `turn_rate` are those of `Navigation`; those not given are of a `trajectory`
+    at the times of the shots, or by differences between neighbouring images of a strip (`motion_by_differences`).
+    Raises `ValueError` for sigmas that are not positive, and as `motion_on_trajectory`.
     """
     check_is(shots, Shot, "shots", "One Shot, whose fields hold an entry for each image.")
     count = np.shape(shots.time)[0]
@@ -106,7 +136,7 @@ def navigation_of(
     by_position = information(sigma_position, count, "sigma_position", "m") @ np.swapaxes(R_frame_from_enu, 1, 2)
     turns = np.broadcast_to(np.eye(3), (count, 3, 3)) if level else _turn_by_angles(shots)
     by_attitude = _of_turns(sigma_attitude, turns, count)
-    return Navigation(
+    found = Navigation(
         position=np.asarray(frame.from_ecef(stations.p_ecef)),
         R_frame_from_body=R_body,
         R_frame_from_reference=R_level if level else R_body,
@@ -118,6 +148,20 @@ def navigation_of(
         time=np.broadcast_to(np.asarray(shots.time, np.float64), (count,)),
         mounts={mount: (sensor.mount, level)},
     )
+    velocity, turn_rate = checked_motion(velocity, count, "velocity"), checked_motion(turn_rate, count, "turn_rate")
+    if velocity is None or turn_rate is None:
+        derived = _motion_of(frame, sensor, trajectory, found)
+        velocity, turn_rate = (b if a is None else a for a, b in zip((velocity, turn_rate), derived, strict=True))
+    return replace(found, velocity=velocity, turn_rate=turn_rate)
+
+
+def _motion_of(
+    frame: LocalFrame, sensor: Sensor, trajectory: Trajectory | None, given: Navigation
+) -> tuple[np.ndarray, np.ndarray]:
+    if trajectory is not None:
+        return motion_on_trajectory(frame, sensor, trajectory, given.time)
+    head = given.R_frame_from_reference @ given.R_reference_from_head
+    return motion_by_differences(given.position, head, given.R_frame_from_reference, given.time, given.strip)
 
 
 def joined(parts: list[Navigation]) -> Navigation:
@@ -135,7 +179,17 @@ def joined(parts: list[Navigation]) -> Navigation:
         name: np.concatenate([part.common.get(name, zero) for part, zero in zip(parts, none, strict=True)])
         for name in names
     }
-    return Navigation(**arrays, mounts=mounts, common=common)
+    motion: dict[str, Any] = {name: _joined([getattr(part, name) for part in parts], none) for name in _MOTION}
+    return Navigation(**arrays, mounts=mounts, common=common, **motion)
+
+
+def _joined(parts: list[np.ndarray | None], none: list[np.ndarray]) -> np.ndarray | None:
+    """Velocities or turn rates of several lists of images, NaN where unknown; None if all are."""
+    if all(part is None for part in parts):
+        return None
+    return np.concatenate(
+        [np.full((len(zero), 3), np.nan) if part is None else part for part, zero in zip(parts, none, strict=True)]
+    )
 
 
 def information(sigma: Any, count: int, what: str, unit: str) -> np.ndarray:

@@ -88,7 +88,8 @@ def observing(problem: Problem, values: Values, control_root: Float[Array, " row
     height, slope = jnp.zeros(rows), jnp.zeros((rows, 3))
     if problem.terrain is not None:
         height, slope = problem.terrain.linearised(values.points)
-    off, by = jnp.zeros((n, 6)), jnp.zeros((n, 6, 18 + values.common.shape[0]))
+    columns = 12 + values.strip.shape[1] + values.common.shape[0]
+    off, by = jnp.zeros((n, 6)), jnp.zeros((n, 6, columns))
     weights = jnp.zeros((n, 6))
     if problem.observed is not None:
         observed = problem.observed

@@ -16,13 +16,15 @@ from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.adjust.initial_points import started
 from jaxgeo.adjust.layout import Order, layout_of
 from jaxgeo.adjust.pose_rows import PoseRows
+from jaxgeo.adjust.ray_effects_of import Entry, effects_of, entries_of
+from jaxgeo.adjust.readout import known_motion
 from jaxgeo.adjust.terrain_heights import HeightObservations, TerrainHeights
-from jaxgeo.adjust.unknowns import Free, Unknowns, spread
-from jaxgeo.adjust.values import INTERIOR, Values, interior_of, names_of_interior
+from jaxgeo.adjust.unknowns import Free, Prior, Unknowns, spread
+from jaxgeo.adjust.values import INTERIOR, STRIP, Values, interior_of, names_of_interior
 from jaxgeo.sensor import FrameCamera
 
 OF_MOUNT = ("boresight x", "boresight y", "boresight z", "lever arm x", "lever arm y", "lever arm z")
-OF_STRIP = ("shift east", "shift north", "shift up", "drift east", "drift north", "drift up")
+OF_STRIP = ("shift east", "shift north", "shift up", "drift east", "drift north", "drift up", "time offset")
 
 
 class Names(NamedTuple):
@@ -40,7 +42,8 @@ class Names(NamedTuple):
         """(owner, parameter) of each shared column, in the order of the reduced system."""
         found = [] if problem.own_lens else [(f"camera {name}", lens) for name in self.camera for lens in self.lens]
         found += [(f"mount {name}", part) for name in self.mount for part in OF_MOUNT] if problem.mounts else []
-        found += [(f"strip {name}", part) for name in self.strip for part in OF_STRIP] if problem.strips else []
+        of_strip = OF_STRIP[: problem.strip.free.shape[1]]
+        found += [(f"strip {name}", part) for name in self.strip for part in of_strip] if problem.strips else []
         found += [("navigation", part) for part in self.common]
         return found
 
@@ -64,7 +67,8 @@ def prepared(
     Start positions ignore what is set `aside`: measurements by flag (k,), and names of control points.
     """
     cameras = tuple(dict.fromkeys(block.images.camera.tolist()))
-    lens_sigma, active, lens_names = _lenses(block, cameras, unknowns)
+    of_effects = entries_of(block, cameras, unknowns)
+    lens_sigma, active, lens_names = _lenses(block, cameras, unknowns, of_effects)
     mounts, strips = _names_of_navigation(block)
     common = () if block.navigation is None else block.navigation.names_of_common
     mount_sigma, strip_sigma = _shared(unknowns, mounts, strips)
@@ -91,15 +95,17 @@ def prepared(
         beginning[out] = np.nan
         beginning = started(block, beginning, row, image, ~aside[0])
         place = np.where(np.isnan(place), beginning, place)
-    observed, mount_of, strip_of = _observed(block, mounts, strips)
+    observed, mount_of, strip_of = _observed(block, mounts, strips, strip_sigma[:, STRIP:], len(of_effects))
+    lens = np.stack([interior_of(block.cameras[name]) for name in cameras])
+    lens = np.concatenate([lens, *(one.start[:, None] for one in of_effects)], axis=1)
     start = Values(
         centre=jnp.asarray(images.centre),
         R_frame_from_camera=jnp.asarray(images.R_frame_from_camera),
         points=jnp.asarray(beginning),
-        lens=jnp.asarray(np.stack([interior_of(block.cameras[name]) for name in cameras])),
+        lens=jnp.asarray(lens),
         boresight=jnp.asarray(np.broadcast_to(np.eye(3), (len(mounts), 3, 3))),
         lever=jnp.asarray(_levers(block, mounts)),
-        strip=jnp.asarray(np.zeros((len(strips), 6))),
+        strip=jnp.asarray(np.zeros(strip_sigma.shape)),
         common=jnp.zeros(len(common)),
     )
     problem = Problem(
@@ -122,14 +128,16 @@ def prepared(
         own_lens=own_lens,
         mounts=bool(np.any(mount_sigma > 0.0)),
         strips=bool(np.any(strip_sigma > 0.0)),
+        effects=effects_of(block, layout, order, of_effects, start) if of_effects else None,
     )
     return Prepared(problem, Names(images.name, points, cameras, lens_names, mounts, strips, common), order)
 
 
 def _lenses(
-    block: Block, cameras: tuple[str, ...], unknowns: Unknowns
+    block: Block, cameras: tuple[str, ...], unknowns: Unknowns, of_effects: list[Entry]
 ) -> tuple[np.ndarray, tuple[int, ...], tuple[str, ...]]:
-    """Sigmas (cameras, all) of the lenses, the columns that are unknown for any of them, and their names."""
+    """Sigmas (cameras, all) of the lenses and of the entries of effects on rays, the columns that are unknown for any
+    of them, and their names."""
     names = names_of_interior(block.cameras[cameras[0]])
     parts = [
         spread(choice, cameras, size, what)
@@ -142,7 +150,9 @@ def _lenses(
     coefficients = names[len(INTERIOR) :]
     row = spread(unknowns.distortion, coefficients, 1, "distortion")[:, 0] if coefficients else np.zeros(0)
     _check_one_way(block.cameras[cameras[0]], row, np.concatenate(parts, axis=1))
-    sigma = np.concatenate([*parts, np.broadcast_to(row, (len(cameras), len(row)))], axis=1)
+    more = [one.sigma[:, None] for one in of_effects]
+    sigma = np.concatenate([*parts, np.broadcast_to(row, (len(cameras), len(row))), *more], axis=1)
+    names = (*names, *(one.name for one in of_effects))
     active = tuple(int(i) for i in np.flatnonzero(np.any(sigma > 0.0, axis=0)))
     return sigma, active, tuple(names[i] for i in active)
 
@@ -166,7 +176,10 @@ def _shared(unknowns: Unknowns, mounts: tuple[str, ...], strips: tuple[str, ...]
         (strips, ((unknowns.shift, "shift"), (unknowns.drift, "drift"))),
     ):
         parts.append(np.concatenate([spread(choice, names, 3, what) for choice, what in choices], axis=1))
-    return parts[0], parts[1]
+    if not strips and isinstance(unknowns.time_offset, Free | Prior):
+        raise ValueError("Unknowns.time_offset is that of the navigation, which the block does not have; give some.")
+    offset = spread(unknowns.time_offset, strips, 1, "time_offset")
+    return parts[0], np.concatenate([parts[1], offset], axis=1) if np.any(offset > 0.0) else parts[1]
 
 
 def _names_of_navigation(block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -181,15 +194,21 @@ def _levers(block: Block, mounts: tuple[str, ...]) -> np.ndarray:
     return np.array([np.asarray(block.navigation.mounts[name][0].lever_body, np.float64) for name in mounts])
 
 
-def observed_of(block: Block, names: Names) -> Observed:
-    """Navigation of a block as arrays."""
-    observed, _, _ = _observed(block, names.mount, names.strip)
+def observed_of(block: Block, names: Names, offset_sigma: np.ndarray) -> Observed:
+    """Navigation of a block as arrays; `offset_sigma` as of `_observed`."""
+    observed, _, _ = _observed(block, names.mount, names.strip, offset_sigma, 0)
     assert observed is not None
     return observed
 
 
-def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) -> tuple[Observed | None, Any, Any]:
-    """Navigation as arrays, and the mount and strip numbers of each image."""
+def _observed(
+    block: Block, mounts: tuple[str, ...], strips: tuple[str, ...], offset_sigma: np.ndarray, entries: int
+) -> tuple[Observed | None, Any, Any]:
+    """Navigation as arrays, and the mount and strip numbers of each image.
+
+    `offset_sigma` (strips, 1) are the sigmas of unknown time offsets, (strips, 0) if there are none; `entries` is the
+    number of those of effects on rays.
+    """
     nav, none = block.navigation, np.zeros(len(block.images), int)
     if nav is None:
         return None, none, none
@@ -200,6 +219,9 @@ def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) ->
     def constants(name: str) -> np.ndarray:
         return np.array([np.asarray(getattr(mount, name), np.float64) for mount, _ in of_mount])[mount_of]
 
+    velocity = turn_rate = None
+    if offset_sigma.shape[1]:
+        velocity, turn_rate = known_motion(block, offset_sigma[strip_of, 0] > 0.0, "Unknowns.time_offset")
     observed = Observed(
         position=nav.position,
         R_frame_from_body=nav.R_frame_from_body,
@@ -213,13 +235,16 @@ def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) ->
         level=np.array([level for _, level in of_mount])[mount_of],
         centred_time=nav.time - middle[strip_of],
         common=nav.common_errors,
-        rows=None if nav.pose_rows is None else _observed_rows(nav.pose_rows, nav.names_of_common),
+        rows=None if nav.pose_rows is None else _observed_rows(nav.pose_rows, nav.names_of_common, entries),
+        velocity=velocity,
+        turn_rate=turn_rate,
     )
     return jax.tree.map(jnp.asarray, observed), mount_of, strip_of
 
 
-def _observed_rows(given: PoseRows, common: tuple[str, ...]) -> ObservedRows:
-    parts = given.centre, given.R_frame_from_camera, given.offset, given.by_pose, given.by_lens
+def _observed_rows(given: PoseRows, common: tuple[str, ...], entries: int) -> ObservedRows:
+    by_lens = np.pad(given.by_lens, ((0, 0), (0, 0), (0, entries)))
+    parts = given.centre, given.R_frame_from_camera, given.offset, given.by_pose, by_lens
     return ObservedRows(*parts, given.columns(common))
 
 

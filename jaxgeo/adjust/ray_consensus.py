@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.initial_points import camera_rays
+from jaxgeo.adjust.readout import has_readout, in_motion
 
 ROUNDS = 12  # alternations of intersection and resection
 SETTLED = 3.0  # median residual in sigmas, below which orientations are accurate enough for screening
@@ -58,7 +59,20 @@ class Rays:
         own[~used] = [0.0, 0.0, 1.0]
         rays = cls(image, point, own, sigma, used, images.centre.copy(), images.R_frame_from_camera.copy(), names)
         rays._meet()
+        if has_readout(block):
+            rays._at_middle(block)
         return rays
+
+    def _at_middle(self, block: Block) -> None:
+        """Replace the directions by those at the middle of each image, towards the same points: of rays that start from
+        where the camera is at the time of their row, as far as the intersections are away."""
+        shift, turn = in_motion(block, self.image, block.observations.uv[:, 1])
+        ranges = np.linalg.norm(self.place[self.point] - self.centre[self.image], axis=1)
+        ranges = np.clip(ranges, 0.5 * self._range, 2.0 * self._range)  # of gross errors, about the others'
+        direction = np.einsum("kij,kj->ki", turn, self.direction) + shift / ranges[:, None]
+        own = np.einsum("kji,kj->ki", self.R[self.image], direction)
+        self.own = own / np.linalg.norm(own, axis=1, keepdims=True)
+        self._meet()
 
     @cached_property
     def _of_points(self) -> _Sums:

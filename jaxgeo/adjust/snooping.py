@@ -21,6 +21,7 @@ from jaxgeo.adjust.losses import AbstractLoss, Cauchy, LeastSquares
 from jaxgeo.adjust.measurements import image_residuals
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.ray_consensus import Rays
+from jaxgeo.adjust.refined import bent_at
 from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Solver, solve
 from jaxgeo.adjust.terrain_heights import HeightObservations
@@ -115,7 +116,7 @@ class _Snooping:
         first = solve(problem, LeastSquares(), self.solver, start=self.values).values
         finite = bool(np.all(np.isfinite(np.asarray(first.centre))) and np.all(np.isfinite(np.asarray(first.points))))
         values = solve(problem, Cauchy(), self.solver, start=first if finite else None).values
-        self.values = values
+        self.values, self.full = values, bent_at(self.full, values)
         points = np.asarray(image_residuals(self.full.problem, values)).T[self.full.order.place]
         sizes = np.where(self.kept.rows, np.linalg.norm(points, axis=1), 0.0)
         off = np.asarray(known_points(self.full.problem, values))
@@ -215,7 +216,8 @@ class _Snooping:
         names = {str(observations.point[row]) for _, row in lost} - set(adjustment.prepared.names.point.tolist())
         if not names:
             return []
-        rays = Rays.of(replace(self.block, cameras=adjustment.cameras, images=adjustment.images))
+        changed = {"cameras": adjustment.cameras, "images": adjustment.images, "readout": adjustment.readouts}
+        rays = Rays.of(replace(self.block, **changed))
         good = [name for name in names if np.max(rays.residual[observations.point == name]) < self.limit]
         return [(IMAGE_POINT, int(row)) for name in good for row in np.flatnonzero(observations.point == name)]
 

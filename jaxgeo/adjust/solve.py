@@ -8,7 +8,7 @@ eliminated, a block of 1300 images is adjusted in 2 s on two cores.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -99,6 +99,11 @@ class Solution(NamedTuple):
     equations: Equations
     log: tuple[Iteration, ...]
     converged: bool
+
+    def after(self, first: Solution) -> Solution:
+        """The solution with the iterations of an earlier one, which it starts from, before its own."""
+        more = (replace(one, number=one.number + first.log[-1].number) for one in self.log[1:])
+        return self._replace(log=(*first.log, *more))
 
 
 @one_thread()

@@ -15,6 +15,7 @@ from jaxgeo.adjust.initial_points import started
 from jaxgeo.adjust.kept import Kept, control_of, masked
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.problem import Prepared
+from jaxgeo.adjust.ray_effects import READOUT
 from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, Screen, screened_again
 from jaxgeo.adjust.solve import Solver, solve
 from jaxgeo.adjust.values import Values, with_interior
@@ -91,7 +92,10 @@ def _adjusted(block: Block, full: Prepared, values: Values) -> Block:
     images = Images(block.images.name, block.images.camera, centre, _nearest_rotations(R))
     lenses = zip(full.names.camera, values.lens, strict=True)
     cameras = {name: with_interior(block.cameras[name], lens) for name, lens in lenses}
-    return replace(block, images=images, cameras=cameras)
+    effects, readout = full.problem.effects, block.readout
+    if effects is not None and READOUT in effects.names:
+        readout = dict(zip(full.names.camera, effects.entry(values, READOUT).tolist(), strict=True))
+    return replace(block, images=images, cameras=cameras, readout=readout)
 
 
 def _moved(values: Values, motion: Motion) -> Values:

@@ -54,6 +54,11 @@ class Unknowns:
     - `boresight` (rad, about the axes of the body, or of the head for a gimbal that reports in local level) and `lever`
       (m, IMU to gimbal, body axes) of each mount.
     - `shift` (m) and `drift` (m/s) of the navigation positions in each strip, east, north and up of the frame.
+    - `time_offset` (s) of the navigation in each strip: its positions and attitudes are those of so long after the
+      exposures. Needs velocities and turn rates (`Navigation`).
+    - `readout` (s) of each camera, from the first row of an image to that of the next, as of
+      `RollingShutterCamera.from_readout`: negative from the bottom up. Needs velocities and turn rates, too.
+    - `refraction` (1) of each camera: factor on the bending of rays in the block's `atmosphere`, 1 as the model says.
     """
 
     images: Choices = field(default_factory=Free)
@@ -65,6 +70,9 @@ class Unknowns:
     lever: Choices = field(default_factory=Fixed)
     shift: Choices = field(default_factory=Fixed)
     drift: Choices = field(default_factory=Fixed)
+    time_offset: Choices = field(default_factory=Fixed)
+    readout: Choices = field(default_factory=Fixed)
+    refraction: Choices = field(default_factory=Fixed)
 
 
 def spread(choices: Choices, names: Sequence[str], size: int, what: str, others: Choice | None = None) -> np.ndarray:

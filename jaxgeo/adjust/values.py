@@ -16,7 +16,7 @@ from jaxgeo.sensor import FrameCamera
 
 POSE = 6  # per image: shift of its perspective centre in m (frame axes), rotation in rad (camera axes)
 MOUNT = 6  # per mount: boresight rotation in rad, lever arm in m (body axes)
-STRIP = 6  # per strip: shift in m and drift in m/s of its positions (frame axes)
+STRIP = 6  # per strip: shift in m and drift in m/s of its positions (frame axes); 7 with a time offset in s
 INTERIOR = ("focal", "aspect", "principal column", "principal row")  # px, 1, px, px
 
 
@@ -24,9 +24,10 @@ class Values(Record):
     """Values of all potential unknowns.
 
     `centre` (n, 3) m and `R_frame_from_camera` (n, 3, 3) of the images; `points` (rows, 3) m in the order of the
-    layout; `lens` (cameras, all) interior orientation and coefficients; `boresight` (mounts, 3, 3) the accumulated
-    rotation; `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s; `common` (k,) the
-    standard normal numbers of the navigation errors that images share.
+    layout; `lens` (cameras, all) interior orientation and coefficients, then the entries of `RayEffects`;
+    `boresight` (mounts, 3, 3) the accumulated rotation; `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s, or
+    (strips, 7) with time offsets in s; `common` (k,) the standard normal numbers of the navigation errors that images
+    share.
     """
 
     centre: Float[Array, "n 3"]
@@ -35,7 +36,7 @@ class Values(Record):
     lens: Float[Array, "cameras all"]
     boresight: Float[Array, "mounts 3 3"]
     lever: Float[Array, "mounts 3"]
-    strip: Float[Array, "strips 6"]
+    strip: Float[Array, "strips of_strip"]
     common: Float[Array, " k"]
 
 
@@ -46,7 +47,7 @@ class Step(Record):
     points: Float[Array, "rows 3"]
     lens: Float[Array, "cameras active"]
     mount: Float[Array, "mounts 6"]
-    strip: Float[Array, "strips 6"]
+    strip: Float[Array, "strips of_strip"]
     common: Float[Array, " k"]
 
 
@@ -74,9 +75,9 @@ def interior_of(camera: FrameCamera) -> Float[Array, " all"]:
 
 
 def with_interior(camera: FrameCamera, interior: Any) -> FrameCamera:
-    """The camera with another interior orientation and lens."""
+    """The camera with another interior orientation and lens; further entries are ignored."""
     focal = jnp.stack([interior[0], interior[0] * interior[1]])
-    distortion = camera.distortion.with_coefficients(interior[4:])
+    distortion = camera.distortion.with_coefficients(interior[4 : 4 + len(camera.distortion.names)])
     changed = (focal, interior[2:4], distortion)
     return eqx.tree_at(lambda c: (c.focal_px, c.principal_px, c.distortion), camera, changed)
 

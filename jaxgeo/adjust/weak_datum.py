@@ -98,7 +98,7 @@ class Weak(Record):
 def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions | None:
     """The motions of the whole if any is weakly constrained in the (reduced) normal equations, else None."""
     nothing = problem.observed is None and problem.terrain is None and not bool(jnp.any(problem.known_point != 0.0))
-    if nothing:
+    if nothing or problem.effects is not None:  # those change pixels when the whole moves
         return None
     motions = motions_apart(problem, values, equations, matrix)
     return motions if are_weak(motions) else None

@@ -166,7 +166,13 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
         "registered": [] if found.map_control is None else found.map_control.names,
         "registrations_refused": found.refused,
         "parameters": [
-            {"of": p.whose, "name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit}
+            {
+                "of": "navigation" if p.name == "time offset" else p.whose,
+                "name": p.name,
+                "value": p.value,
+                "sigma": p.sigma,
+                "unit": p.unit,
+            }
             for p in adjustment.parameters
         ],
         "words": found.words().splitlines(),

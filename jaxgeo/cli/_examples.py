@@ -73,6 +73,8 @@ EXAMPLES = {
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --reference map.tif -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt --gcp-datum EPSG:5773 "
         "-o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --readout 0.03 --time-offset-sigma 0.05 "
+        "-o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --report --mosaic mosaic.tif -o adjusted",
     ),
     "dem": (

@@ -18,6 +18,7 @@ from jaxgeo.cli._adjust_control import ControlOptions
 from jaxgeo.cli._adjust_map import MapOptions, rows_to_register
 from jaxgeo.cli._adjust_map import on_map as registered_to
 from jaxgeo.cli._adjust_mosaic import MosaicOptions
+from jaxgeo.cli._adjust_motion import MotionOptions
 from jaxgeo.cli._adjust_outputs import (
     FILES,
     check_report,
@@ -107,6 +108,7 @@ def adjust_command(
     of_mosaic: MosaicOptions = MosaicOptions(),
     of_control: ControlOptions = ControlOptions(),
     on_map: MapOptions = MapOptions(),
+    in_motion: MotionOptions = MotionOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
@@ -126,6 +128,7 @@ def adjust_command(
         of_mosaic.check_options(output)
         _check_map(crs)
         on_map.check()
+        in_motion.check(on_map.reference)
         _check_features(features, measure, on_map)
         if report:
             check_report()
@@ -141,7 +144,9 @@ def adjust_command(
 
         surveyed = of_control.read()
         block = _read(given.on(dem, reading_dem, Sigmas(dem=dem_sigma)))
-        views, paths = block.views, block.paths
+        known = len(block.assumed)
+        views, paths = in_motion.moving(block.views, block.paths, block.assumed), block.paths
+        print_assumed(block.assumed[known:])
         of_mosaic.check_no_input(paths)
         _check_images(block, output, reading_dem)
         control = None if surveyed is None else of_control.control(surveyed, views, block.assumed)
@@ -167,7 +172,7 @@ def adjust_command(
                 block.assumed.extend(of_map.assumed)
                 print_assumed(of_map.assumed)
             with working("adjusting"):
-                unknowns = _interior(views, block.errors) if self_calibrate else None
+                unknowns = in_motion.unknowns(_interior(views, block.errors) if self_calibrate else None)
                 found = _corrected(views, ties, unknowns, control, None if of_map is None else of_map.control)
             written = write_files(output, found, crs)
             if report:

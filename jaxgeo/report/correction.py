@@ -101,7 +101,8 @@ def _figures(found: Correction) -> list[tuple[str, str, str]]:
 
 def _parameter(one: Any) -> tuple[str, str, str, str]:
     prior = f"{one.prior:.3g}" if np.isfinite(one.prior) else words.UNKNOWN
-    return f"{one.whose}: {one.name}", f"{one.value:.7g} {one.unit}", f"{one.sigma:.3g}", prior
+    whose = "navigation" if one.name == "time offset" else one.whose
+    return f"{whose}: {one.name}", f"{one.value:.7g} {one.unit}", f"{one.sigma:.3g}", prior
 
 
 def _points(found: Correction) -> dict[str, Any] | None:

@@ -19,7 +19,16 @@ def block_of_views(views: Views, observations: ImagePoints, ground: GroundPoints
     if ground is not None:
         seen = ground.name[np.isin(ground.name, observations.point)].tolist()
         ground = ground.of(seen) if seen else None
-    return Block(views.frame, cameras, images, observations, ground, navigation=_navigation(views).of(rows))
+    return Block(
+        views.frame,
+        cameras,
+        images,
+        observations,
+        ground,
+        navigation=_navigation(views).of(rows),
+        readout={name: value for name, value in views.readout.items() if name in cameras},
+        atmosphere=views.atmosphere,
+    )
 
 
 def _navigation(views: Views) -> Navigation:
@@ -40,6 +49,8 @@ def _navigation(views: Views) -> Navigation:
         time=np.zeros(count),
         mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
         common=views.common,
+        velocity=views.velocity,
+        turn_rate=views.turn_rate,
     )
 
 

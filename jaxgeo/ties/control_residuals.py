@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, ImagePoints, LocalFrame, reliability
+from jaxgeo.adjust.pixels_seen import seen_at
 from jaxgeo.adjust.posterior import covariance_of_functions
 from jaxgeo.adjust.records import Names
 from jaxgeo.ties.control import Control, rows_of
@@ -208,10 +209,10 @@ class _NotAdjusted:
 def _predicted(marks: ImagePoints, place: np.ndarray, found: Adjustment) -> Predicted:
     """Pixels of a place in the adjusted images of its marks."""
     images, image = found.images, rows_of(found.images.name, marks.image)
-    places = np.broadcast_to(place, (len(marks), 3))
-    return predicted(
-        found.cameras, images.camera[image], images.centre[image], images.R_frame_from_camera[image], places
-    )
+    seen = seen_at(found, image, marks.uv[:, 1], np.broadcast_to(place, (len(marks), 3)))
+    there = predicted(found.cameras, images.camera[image], seen.centre, seen.R_frame_from_camera, seen.place)
+    by_entries = np.einsum("kai,kei->kae", there.by_place, seen.by_entries)
+    return there._replace(by_lens=np.concatenate([there.by_lens, by_entries], axis=2))
 
 
 def _meet(marks: ImagePoints, place: np.ndarray, found: Adjustment) -> bool:

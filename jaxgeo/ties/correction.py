@@ -11,6 +11,7 @@ from jaxgeo._checks import check_is
 from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
 from jaxgeo.adjust.initial_points import of_parallel_rays
 from jaxgeo.adjust.ray_consensus import Rays
+from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.ties.block import Ties
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
 from jaxgeo.ties.control import Control, check_control, check_fit
@@ -24,6 +25,7 @@ from jaxgeo.ties.views import Views
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 MUCH = 3.0  # standard deviations of the pixels of control: what their residuals add to these, if it is doubted
+NOT_INTERIOR = READOUT, REFRACTION, "time offset"  # parameters beside those of a self-calibration
 GROUND = "\n"  # name of an image that shows all control points: none of a file has it
 
 
@@ -105,7 +107,13 @@ class Correction:
             )
         if self.control_residuals is not None:
             lines += words_of(self.control_residuals, self.blunders, self.excess_of_control)
-        if not self.adjustment.parameters:
+        if any(self.adjustment.readouts.values()):
+            seconds = ", ".join(f"{one:.4g} s" for one in self.adjustment.readouts.values())
+            lines.append(
+                f"Orientations are those of the middle row, with a readout of {seconds}. Cameras in files expose all "
+                f"rows at once."
+            )
+        if not any(one.name not in NOT_INTERIOR for one in self.adjustment.parameters):
             lines.append(
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
                 "unless self-calibration takes them in."
@@ -162,7 +170,8 @@ def correct(
     to be by chance. Control points, and pixels of them, that fail the test at 1e-4 against all others are left
     out, one after the other (`Correction.blunders`).
     `unknowns` adds a self-calibration (`images` are always free), `terrain` observations of the heights of the points.
-    Points whose rays are parallel, as in images from one position, have no place and are left out.
+    Points whose rays are parallel, as in images from one position, have no place and are left out. A time offset of the
+    navigation (one for all, of the strip "strip"), a readout and refraction take what `Views.moving` gives.
 
     `map_control` adds what images registered to a map say about their orientations, with the errors of map and terrain;
     the map shift is an unknown of the whole. Tie points and control points are chosen without it. Each registration is
@@ -178,6 +187,7 @@ def correct(
     check_is(views, Views, "views")
     if map_control is not None:
         check_is(map_control, MapControl, "map_control")
+        _check_map_control(views)
     observations = ties.observations if isinstance(ties, Ties) else ties
     ground = None
     if control is not None:
@@ -217,6 +227,16 @@ def correct(
         return replace(_correction(views, final, given, control, blunders), refused=chosen.refused)
     result = _correction(views, final._replace(found=chosen.adjustment), given, control, blunders)
     return replace(result, map_control=chosen.control, refused=chosen.refused)
+
+
+def _check_map_control(views: Views) -> None:
+    """Raises `ValueError` for views whose rays are not those of the registrations to a map."""
+    if any(views.readout.values()) or views.atmosphere is not None:
+        what = "readout" if any(views.readout.values()) else "atmosphere"
+        raise ValueError(
+            f"map_control is of images registered as of frame cameras without refraction, but the views have a {what}; "
+            f"leave one of the two out."
+        )
 
 
 def _with_control(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -16,12 +16,15 @@ from jaxgeo._compile import quick_filter_jit
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.adjust import Images, LocalFrame
 from jaxgeo.adjust.block import frame_at
+from jaxgeo.adjust.motion import checked_motion
+from jaxgeo.adjust.readout import checked_readout
 from jaxgeo.adjust.records import Names, as_names
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.observation import Exposure
 from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+from jaxgeo.ties.motion import motion_of
 from jaxgeo.ties.shared import OfImage, split
 from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -62,6 +65,15 @@ class Views:
     covariance: np.ndarray
     own: np.ndarray
     common: dict[str, np.ndarray]
+    velocity: np.ndarray | None = None
+    """Velocities (n, 3) of the perspective centres at the exposures, m/s in frame axes, NaN where unknown; see
+    `moving`."""
+    turn_rate: np.ndarray | None = None
+    """Turn rates (n, 3) of the cameras, rad/s about their axes."""
+    readout: Mapping[str, float] = field(default_factory=dict)
+    """Readout times of rolling-shutter cameras in s, by their names."""
+    atmosphere: Atmosphere | None = None
+    """The air that rays are refracted in, in an adjustment."""
 
     def __len__(self) -> int:
         return len(self.name)
@@ -98,6 +110,39 @@ class Views:
         check_errors(names, covariance)
         Images(names, camera, centre, R)  # raises for duplicate names and poses that are not finite
         return cls(names, exposures, camera, cameras, frame, centre, R, covariance, own, common)
+
+    def moving(
+        self,
+        velocity: Any = None,
+        turn_rate: Any = None,
+        *,
+        readout: Any = None,
+        atmosphere: Atmosphere | None = None,
+    ) -> Views:
+        """A copy with what time offsets, a rolling shutter and refraction need in an adjustment (`correct`).
+
+        `velocity` (n, 3) of the perspective centres in m/s, frame axes, and `turn_rate` (n, 3) of the cameras in rad/s
+        about their axes; NaN where unknown. Those not given are by differences between neighbouring images over the
+        times of their shots (`jaxgeo.adjust.motion_by_differences`), which takes the motion between them as
+        even; a gap of more than 1.8 median intervals ends a run of images. `readout` in s, a number for all or a
+        mapping from the names of `cameras`, is that of `jaxgeo.adjust.Block`; `atmosphere` too: those of exposures do
+        not count. What is not given stays as it is. Raises `ValueError` for other shapes and unknown cameras.
+        """
+        given = [
+            checked_motion(one, len(self), what) for one, what in ((velocity, "velocity"), (turn_rate, "turn_rate"))
+        ]
+        if given[0] is None or given[1] is None:
+            time = np.array([float(_shot(one).time) for one in self.exposure])
+            found = motion_of(self.centre, self.R_frame_from_camera, time, self.camera)
+            stated = self.velocity, self.turn_rate
+            given = [next(x for x in each if x is not None) for each in zip(given, stated, found, strict=True)]
+        return replace(
+            self,
+            velocity=given[0],
+            turn_rate=given[1],
+            readout=self.readout if readout is None else checked_readout(readout, self.cameras),
+            atmosphere=self.atmosphere if atmosphere is None else atmosphere,
+        )
 
     def covariance_of_pair(self, first: int, second: int) -> np.ndarray:
         """Covariance (12, 12) of the navigation errors of two images."""

@@ -1,0 +1,31 @@
+"""Velocities and turn rates of the cameras of views, by differences between neighbouring images."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxgeo.adjust.motion import motion_by_differences
+
+GAP = 1.8  # median intervals: a longer one ends a run of images, as at a turn between strips
+
+
+def runs_of(time: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """Number (n,) of the run of each image: those of one camera that follow each other without a gap."""
+    found, first = np.zeros(len(time), int), 0
+    for name in np.unique(camera):
+        rows = np.flatnonzero(camera == name)
+        rows = rows[np.argsort(time[rows], kind="stable")]
+        intervals = np.diff(time[rows])
+        usual = np.median(intervals) if len(intervals) else 0.0
+        number = np.concatenate([[0], np.cumsum(intervals > GAP * usual)])
+        found[rows] = first + number
+        first += int(number[-1]) + 1
+    return found
+
+
+def motion_of(
+    centre: np.ndarray, R_frame_from_camera: np.ndarray, time: np.ndarray, camera: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(velocities (n, 3) in m/s, frame axes; turn rates (n, 3) in rad/s about the camera's axes) of images at `time`
+    (n,) in s of named cameras: `motion_by_differences` over their runs."""
+    return motion_by_differences(centre, R_frame_from_camera, R_frame_from_camera, time, runs_of(time, camera))
