@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxgeo.adjust import Block, GroundPoints, ImagePoints, Images, Navigation
 from jaxgeo.sensor import Mount
+from jaxgeo.ties.shared import OF_SHOT
 from jaxgeo.ties.views import Views
 
 LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
@@ -41,6 +42,17 @@ def _navigation(views: Views) -> Navigation:
         mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
         common=views.common,
     )
+
+
+def free_poses(block: Block) -> int:
+    """Number of images whose orientations are free of each other: those of one shot count once."""
+    common = {} if block.navigation is None else block.navigation.common
+    of_shots = [np.any(effects != 0.0, axis=1) for name, effects in common.items() if OF_SHOT in name]
+    if not of_shots:
+        return len(block.images)
+    shared = np.stack(of_shots, axis=1)
+    alone = int(np.count_nonzero(~np.any(shared, axis=1)))
+    return alone + len(np.unique(shared[np.any(shared, axis=1)], axis=0))
 
 
 def information_of(covariance: np.ndarray, least: float) -> np.ndarray:

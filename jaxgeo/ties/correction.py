@@ -8,23 +8,23 @@ from functools import cached_property
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
-from jaxgeo.adjust.initial_points import of_parallel_rays
+from jaxgeo.adjust import Adjustment, Block, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
+from jaxgeo.adjust.kept import Kept, control_of
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.ties.block import Ties
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
+from jaxgeo.ties.connections import in_several_shots, largest_part, of_images, of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
 from jaxgeo.ties.map_control import MapControl
+from jaxgeo.ties.shared import OF_MODE, OF_SHOT
 from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_wrong_control
-from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 MUCH = 3.0  # standard deviations of the pixels of control: what their residuals add to these, if it is doubted
-GROUND = "\n"  # name of an image that shows all control points: none of a file has it
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Correction:
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
                 "unless self-calibration takes them in."
             )
-        constant = [name for name in self.hidden if ", mode" not in name]
+        constant = [name for name in self.hidden if OF_MODE not in name and OF_SHOT not in name]
         if constant:
             lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")
         if self.unconnected:
@@ -191,17 +191,18 @@ def correct(
         )
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
-    observations = _of_places(views, observations, ground)
+    observations = of_places(views, observations, ground)
     while True:
-        part = _largest_part(views, observations, ground)
+        part = largest_part(views, observations, ground)
         if len(part) < 2:
             raise ValueError(
                 "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
-        block = block_of_views(views, _of_images(observations, part, ground), ground)
+        block = block_of_views(views, of_images(views, observations, part, ground), ground)
         kept, values, excess = robust_solution(block, unknowns, terrain)
+        kept = _of_several_shots(views, block, kept)
         left = block.observations.of(kept.rows)
-        if set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
+        if set(largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
             break
         observations = left  # an image has lost its ties
     final = least_squares(block, unknowns, terrain, kept, values, excess)
@@ -235,33 +236,10 @@ def _with_control(
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
 
 
-def _largest_part(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> list[str]:
-    """Names of the images of the largest connected part; images with three control points are connected."""
-    if ground is None:
-        return connected(views.name, observations)[0]
-    all_control = np.unique(observations.point[np.isin(observations.point, ground.name)])
-    of_ground = ImagePoints(np.full(len(all_control), GROUND), all_control, np.zeros((len(all_control), 2)))
-    parts = connected(np.append(views.name, GROUND), ImagePoints.joined([observations, of_ground]))
-    return max(([name for name in part if name != GROUND] for part in parts), key=len)
-
-
-def _of_places(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> ImagePoints:
-    """The measurements of points that are control, or whose rays are not parallel. Raises `ValueError` if there are
-    none."""
-    parallel = of_parallel_rays(block_of_views(views, observations, ground))
-    if ground is not None:
-        parallel &= ~np.isin(observations.point, ground.name)
-    if np.all(parallel):
-        raise ValueError(
-            "the rays of all tie points are parallel, so that these have no place; are the images of one position, or "
-            "one image under several names?"
-        )
-    return observations.of(~parallel) if np.any(parallel) else observations
-
-
-def _of_images(observations: ImagePoints, names: list[str], ground: GroundPoints | None) -> ImagePoints:
-    known = () if ground is None else ground.name.tolist()
-    return observations.of(np.isin(observations.image, names)).seen_often(known=known)
+def _of_several_shots(views: Views, block: Block, kept: Kept) -> Kept:
+    """Without the measurements of points that a single shot still shows and that are not control."""
+    known = tuple(control_of(block).name[kept.control].tolist())
+    return replace(kept, rows=in_several_shots(views, block.observations, kept.rows, known))
 
 
 def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
