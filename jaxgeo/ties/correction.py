@@ -18,6 +18,7 @@ from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
 from jaxgeo.ties.map_control import MapControl
+from jaxgeo.ties.relative import RelativeOrientation, relative_orientations
 from jaxgeo.ties.shared import OF_MODE, OF_SHOT
 from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_wrong_control
 from jaxgeo.ties.views import Views
@@ -90,6 +91,11 @@ class Correction:
         """Names of the errors that images share and of which the adjustment left more than nine tenths."""
         return [name for name, (_, left) in self.adjustment.common.items() if left > HIDDEN]
 
+    @cached_property
+    def relative_orientations(self) -> list[RelativeOrientation]:
+        """Of images with shots: each camera against an earlier one on its mount."""
+        return relative_orientations(self.views, self.adjustment)
+
     @property
     def has_control(self) -> bool:
         """Whether control points are in the adjustment."""
@@ -110,6 +116,7 @@ class Correction:
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
                 "unless self-calibration takes them in."
             )
+        lines += [one.words() for one in self.relative_orientations]
         constant = [name for name in self.hidden if OF_MODE not in name and OF_SHOT not in name]
         if constant:
             lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")

@@ -117,8 +117,7 @@ def check_together(
     positions more than `FARTHEST` apart, or by `UNSTEADY` nearer or farther than those of the same two cameras are in
     the median, and times likewise by `OF_CLOCKS`."""
     pairs = _pairs(shot, camera)
-    motions = [one.motion for one in exposures]
-    assert all(isinstance(one, Shot) for one in motions)
+    motions = [one.motion for one in exposures if isinstance(one.motion, Shot)]
     place = np.array([np.asarray(WGS84.to_ecef(one.pose.position)) for one in motions]) if pairs else np.zeros((0, 3))
     time = np.array([float(np.asarray(one.time)) for one in motions])
     for both in pairs.values():

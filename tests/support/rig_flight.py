@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from jaxgeo import ConstantHeight, Exposure, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.adjust import ImagePoints, LocalFrame
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
-from jaxgeo.ties import Views
+from jaxgeo.ties import Correction, Views
 from jaxgeo.uncertainty import ErrorModel, PerFlight, sources
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
@@ -43,6 +42,7 @@ def sensor_of(camera: FrameCamera, tilt: float, lever: tuple[float, float, float
 
 SENSORS = (sensor_of(WIDE, 0.0, (0.2, -0.1, 0.3)), sensor_of(INFRARED, TILT, (0.2, 0.15, 0.3)))
 LETTERS = "WT"
+MARGIN = 25.0  # px: points as near to the edge are not measured
 
 
 @dataclass(frozen=True)
@@ -84,20 +84,6 @@ def shots(strips: int = STRIPS, of_strip: int = OF_STRIP) -> list[Shot]:
     return found
 
 
-@functools.cache
-def _moving(model: ErrorModel) -> Any:
-    """Compiled: true centre and orientation, in ECEF, of an exposure that errs."""
-
-    @jax.jit
-    def sight(exposure: Exposure, error: jax.Array) -> tuple[jax.Array, jax.Array]:
-        moved = model.moved(ModelInputs(exposure, terrain=TERRAIN), error).exposure
-        assert isinstance(moved.motion, Shot)
-        found = moved.sensor.sight(moved.motion)
-        return found.centre, found.R_ecef_from_camera
-
-    return sight
-
-
 def drawn(seed: int, strips: int = STRIPS, of_strip: int = OF_STRIP, mounting: float = 1.0) -> Rig:
     """A draw of all errors: position and attitude of each shot, an offset of the flight, mounting of each camera."""
     rng = np.random.default_rng(seed)
@@ -111,7 +97,7 @@ def drawn(seed: int, strips: int = STRIPS, of_strip: int = OF_STRIP, mounting: f
         for which, sensor in enumerate(SENSORS):
             error = np.concatenate([own, mounting * of_cameras[which]])
             exposure = Exposure(sensor, one)
-            place, R = (np.asarray(x) for x in _sight(exposure, error))
+            place, R = (np.asarray(x) for x in sight_of(exposure, error))
             names.append(f"image_{k:02d}_{LETTERS[which]}")
             exposures.append(exposure)
             shot.append(k)
@@ -121,44 +107,54 @@ def drawn(seed: int, strips: int = STRIPS, of_strip: int = OF_STRIP, mounting: f
     return Rig(names, exposures, np.array(shot), np.array(camera), frame, np.array(places), np.array(turns))
 
 
-def _sight(exposure: Exposure, error: np.ndarray) -> Any:
-    return _sight_of(exposure, jnp.asarray(error))
-
-
 @jax.jit
-def _sight_of(exposure: Exposure, error: jax.Array) -> tuple[jax.Array, jax.Array]:
-    moved = ErrorModel(ERRORS).moved(ModelInputs(exposure, terrain=TERRAIN), error).exposure
+def sight_of(exposure: Exposure, error: Any) -> tuple[jax.Array, jax.Array]:
+    """True centre and orientation, in ECEF, of an exposure that errs, along the axes of `ERRORS`."""
+    moved = ErrorModel(ERRORS).moved(ModelInputs(exposure, terrain=TERRAIN), jnp.asarray(error)).exposure
     assert isinstance(moved.motion, Shot)
     found = moved.sensor.sight(moved.motion)
     return found.centre, found.R_ecef_from_camera
 
 
-def measured(rig: Rig, views: Views, seed: int, *, many: int = 9, few: int = 5, both: int = 2) -> ImagePoints:
-    """Tie points measured with noise: a lattice of `many` x points in the wide camera, `few` per image of the
-    infrared one, and `both` per shot in both cameras."""
-    rng = np.random.default_rng([seed, 2])
+def measured(rig: Rig, views: Views, seed: int, *, many: int = 160, few: int = 70, both: int = 28) -> ImagePoints:
+    """Tie points measured with noise, of `many` ground points in the wide camera, `few` in the infrared one and `both`
+    in both of them.
+
+    Ground points, and the images that show them, are the same in all draws, so that programs fit all of them.
+    """
     centre, R = rig.true(views)
-    places, shown = [], []
-    low, high = centre.min(axis=0)[:2] - 60.0, centre.max(axis=0)[:2] + 60.0
-    for count, cameras in ((many * many * 2, "W"), (few * len(centre) // 2, "T"), (both * len(centre) // 2, "WT")):
-        flat = rng.uniform(low, high, (count, 2))
-        places.append(np.column_stack([flat, centre[:, 2].mean() - ABOVE + rng.uniform(-10.0, 10.0, count)]))
-        shown += [cameras] * count
-    place = np.concatenate(places)
+    ground = np.random.default_rng(7)
+    low, high = views.centre.min(axis=0)[:2] - 60.0, views.centre.max(axis=0)[:2] + 60.0
+    count = many + few + both
+    shown = many * ["W"] + few * ["T"] + both * ["WT"]
+    height = views.centre[:, 2].mean() - ABOVE + ground.uniform(-10.0, 10.0, count)
+    place = np.column_stack([ground.uniform(low, high, (count, 2)), height])
     rows = []
     for image in range(len(centre)):
         camera = views.camera_of(image)
-        there = (place - centre[image]) @ R[image]
-        uv = np.asarray(camera.principal_px) + np.asarray(camera.focal_px) * there[:, :2] / there[:, 2:]
-        inside = np.all((uv > 2.0) & (uv < np.array([camera.width, camera.height]) - 3.0), axis=1)
-        rows += [(rig.names[image], f"tie {k}", uv[k]) for k in np.flatnonzero(inside) if rig.camera[image] in shown[k]]
-    image, point, uv = zip(*rows, strict=True)
-    seen = ImagePoints(list(image), list(point), np.array(uv), PIXEL).seen_often()
-    return ImagePoints(seen.image, seen.point, seen.uv + PIXEL * rng.normal(size=seen.uv.shape), seen.sigma)
+        uv = _pixels(camera, views.centre[image], views.R_frame_from_camera[image], place)
+        inside = np.all((uv > MARGIN) & (uv < np.array([camera.width, camera.height]) - MARGIN), axis=1)
+        uv = _pixels(camera, centre[image], R[image], place)
+        kept = [k for k in np.flatnonzero(inside).tolist() if rig.camera[image] in shown[k]]
+        rows += [(rig.names[image], f"tie {k}", uv[k], int(rig.shot[image])) for k in kept]
+    shots_of: dict[str, set[int]] = {}
+    for _, point, _, shot in rows:
+        shots_of.setdefault(point, set()).add(shot)
+    image, point, uv, _ = zip(*[row for row in rows if len(shots_of[row[1]]) > 1], strict=True)
+    uv = np.array(uv)
+    return ImagePoints(
+        list(image), list(point), uv + PIXEL * np.random.default_rng([seed, 2]).normal(size=uv.shape), PIXEL
+    )
 
 
-def errors_of(rig: Rig, views: Views, centre: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Errors (n, 6) of orientations: centre in m (frame axes), rotation about the camera's axes in rad."""
-    place, true = rig.true(views)
-    turn = Rotation.from_matrix(np.swapaxes(true, 1, 2) @ R).as_rotvec()
-    return np.concatenate([centre - place, turn], axis=1)
+def _pixels(camera: FrameCamera, centre: np.ndarray, R: np.ndarray, place: np.ndarray) -> np.ndarray:
+    there = (place - centre) @ R
+    return np.asarray(camera.principal_px) + np.asarray(camera.focal_px) * there[:, :2] / there[:, 2:]
+
+
+def errors_of(rig: Rig, found: Correction) -> np.ndarray:
+    """Errors (n, 6) of the adjusted orientations: centre in m (frame axes), rotation about the camera's axes in rad."""
+    place, true = rig.true(found.views)
+    rows, images = [rig.names.index(name) for name in found.names], found.adjustment.images
+    turn = Rotation.from_matrix(np.swapaxes(true[rows], 1, 2) @ images.R_frame_from_camera).as_rotvec()
+    return np.concatenate([images.centre - place[rows], turn], axis=1)
