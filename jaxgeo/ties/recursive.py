@@ -71,7 +71,8 @@ class RecursiveCorrection:
 
     Errors of the navigation are states by the `sharing` of their sources: `TimeCorrelated` ones are first-order
     Gauss-Markov processes in the times of the shots, `PerFlight` and `Systematic` ones constants, `PerImage` ones
-    independent. All images are of one flight.
+    independent. All images are of one flight, and each is an exposure of its own: those of several cameras on one mount
+    count as independent. Adjust these by `correct`, with `Views.of(..., shot=...)`.
 
     The estimates are those of one adjustment of all images (`correct`), up to linearisation, where no point is
     measured over more than `window` images, one after the other. The measurements of a longer track count as those of
