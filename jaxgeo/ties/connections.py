@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxgeo.adjust import GroundPoints, ImagePoints
 from jaxgeo.adjust.initial_points import of_parallel_rays
-from jaxgeo.ties.block_of_views import block_of_views
+from jaxgeo.ties.block_of_views import block_of_views, in_several
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
@@ -56,21 +56,9 @@ def of_several_shots(views: Views, observations: ImagePoints, known: tuple[str, 
     parallel."""
     if views.shot is None:
         return observations
-    return observations.of(in_several_shots(views, observations, np.ones(len(observations), bool), known))
-
-
-def in_several_shots(
-    views: Views, observations: ImagePoints, rows: np.ndarray, known: tuple[str, ...] = ()
-) -> np.ndarray:
-    """Flags (k,) of those measurements among `rows` whose points are `known`, or in two shots or more by these."""
-    if views.shot is None:
-        return rows
     by_name = dict(zip(views.name.tolist(), views.shot.tolist(), strict=True))
-    names, point = observations.point_numbers
     shot = np.array([by_name[name] for name in observations.image.tolist()], int)
-    pairs = np.unique(np.stack([point[rows], shot[rows]], axis=1), axis=0)
-    often = np.bincount(pairs[:, 0], minlength=len(names)) >= 2
-    return rows & (often | np.isin(names, list(known)))[point]
+    return observations.of(in_several(observations, shot, np.ones(len(observations), bool), known))
 
 
 def of_images(views: Views, observations: ImagePoints, names: list[str], ground: GroundPoints | None) -> ImagePoints:

@@ -8,12 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo.adjust import Adjustment, Block, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
-from jaxgeo.adjust.kept import Kept, control_of
+from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.ties.block import Ties
-from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
-from jaxgeo.ties.connections import in_several_shots, largest_part, of_images, of_places
+from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views, with_places
+from jaxgeo.ties.connections import largest_part, of_images, of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
@@ -119,14 +118,13 @@ class Correction:
         lines += [one.words() for one in self.relative_orientations]
         constant = [name for name in self.hidden if OF_MODE not in name and OF_SHOT not in name]
         if constant:
-            lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")
+            lines.append(f"Of the errors that images share, these stay as they were: {_some(constant, 12)}.")
         if self.unconnected:
-            some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
-            lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
+            lines.append(f"Not adjusted, for no tie points join them to the others: {_some(self.unconnected)}.")
         lines += [f"The map does not count in {name}: {reason}" for name, reason in self.refused.items()]
         if self.doubtful:
             and_control = ", and coordinate system and vertical datum of the control" if self.has_control else ""
-            some = ", ".join(self.doubtful[:10]) + (" ..." if len(self.doubtful) > 10 else "")
+            some = _some(self.doubtful)
             lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors{and_control}: {some}.")
         return "\n".join(lines)
 
@@ -134,7 +132,7 @@ class Correction:
         east, north, up = self.sigma_of_mean
         shift = f"{east:.3g}, {north:.3g}, {up:.3g} m (E, N, U; one sigma"
         if self.map_control is not None:
-            names = ", ".join(self.map_control.names[:10]) + (" ..." if len(self.map_control) > 10 else "")
+            names = _some(self.map_control.names)
             known = f"is known to {shift})" if not self.has_control else f"is known by control and map to {shift})"
             return (
                 f"Registered to the map: {names}. The mean position of all images {known}, the errors of the map "
@@ -207,7 +205,7 @@ def correct(
             )
         block = block_of_views(views, of_images(views, observations, part, ground), ground)
         kept, values, excess = robust_solution(block, unknowns, terrain)
-        kept = _of_several_shots(views, block, kept)
+        kept = with_places(block, kept)
         left = block.observations.of(kept.rows)
         if set(largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
             break
@@ -241,12 +239,6 @@ def _with_control(
     if not len(ground):
         return observations, None
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
-
-
-def _of_several_shots(views: Views, block: Block, kept: Kept) -> Kept:
-    """Without the measurements of points that a single shot still shows and that are not control."""
-    known = tuple(control_of(block).name[kept.control].tolist())
-    return replace(kept, rows=in_several_shots(views, block.observations, kept.rows, known))
 
 
 def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
@@ -283,6 +275,10 @@ def rms_of_rays(views: Views, observations: ImagePoints) -> float:
     focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
     each = np.array([focal[str(name)] for name in block.images.camera])[rays.image]
     return float(np.sqrt(0.5 * np.mean((rays.residual * rays.sigma * each) ** 2)))
+
+
+def _some(names: list[str], most: int = 10) -> str:
+    return ", ".join(names[:most]) + (" ..." if len(names) > most else "")
 
 
 def _vectors(turn: np.ndarray) -> np.ndarray:

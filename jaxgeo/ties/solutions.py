@@ -17,7 +17,7 @@ from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
-from jaxgeo.ties.block_of_views import free_poses
+from jaxgeo.ties.block_of_views import free_poses, with_places
 from jaxgeo.ties.control_tests import failing, fitting, named_blunders
 from jaxgeo.ties.excess import by_median, excess_of, of_few
 from jaxgeo.ties.robust import WIDEST, WIDTH, ScaledCauchy
@@ -152,9 +152,9 @@ def without_wrong_control(
     tried: list[Kept] = []
     for _ in range(3 * len(control_of(block))):
         given = final.found, final.excess.less_sure(block), final.full, final.kept
-        kept = failing(*given)
+        kept = with_places(block, failing(*given))
         if _same(kept, final.kept):
-            kept = fitting(*given)
+            kept = with_places(block, fitting(*given))
         if any(_same(kept, one) for one in (final.kept, *tried)):
             break
         tried.append(final.kept)
