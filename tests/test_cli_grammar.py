@@ -210,6 +210,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     f"adjust FILE --dem dem.tif {READING} -o out",
     "adjust FILE --images i --dem dem.tif --reference map.tif --reference-sigma 0.5 --register a --register b "
     "--measure orientation --features sift -o out",
+    "adjust FILE --images i --dem dem.tif --shots-by 0.2s --flights-by folder --mounting-sigma 0.5 -o out",
     "adjust FILE --images i --dem dem.tif --camera-datum ellipsoid --gcp gcp_list.txt --gcp-datum EPSG:5773 "
     "--gcp-sigma 0.02,0.02,0.04 --pixel-sigma 0.5 --pixel-origin corner --check 7 --check 9 --report "
     "--mosaic m.tif --resolution 0.1 -o out",
@@ -365,6 +366,10 @@ REFUSED = [
     (
         "adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt -o out",
         r"--gcp gcp_list\.txt: state the vertical datum of its heights with --gcp-datum.*",
+    ),
+    (
+        "adjust images --camera-datum ellipsoid --dem dem.tif --shots-by 0.2 -o out",
+        r"--shots-by 0\.2: expected name, or a time such as 0\.2s \(s, min or h; above zero\)\.",
     ),
     (
         "adjust images --camera-datum ellipsoid --dem dem.tif --features sift --measure orientation -o out",

@@ -8,6 +8,7 @@ from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
 from jaxgeo.adjust.bundle import BehindCamera, InnerConstraints, NotConverged, adjust
 from jaxgeo.adjust.diagnosis import Diagnosis, Misfit, Move
+from jaxgeo.adjust.exposures import share_exposures
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.intersection import Intersection, forward_intersection
@@ -73,6 +74,7 @@ __all__ = [
     "resect_block",
     "resect_image",
     "screen",
+    "share_exposures",
     "two_step_boresight",
     "without_blunders",
 ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxgeo.cli import _adjust_control as of_control
+from jaxgeo.cli._adjust_rigs import rows_of_cameras
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._screen import number_table, print_note
@@ -163,6 +164,7 @@ def content_of(views: Views, ties: Ties, found: Correction | None, files: list[s
         "turned_rms_deg": float(np.sqrt(np.mean(degrees**2))),
         "sigma_of_mean_position_m": found.sigma_of_mean.tolist(),
         "doubtful": found.doubtful,
+        "relative_orientations": rows_of_cameras(found),
         "registered": [] if found.map_control is None else found.map_control.names,
         "registrations_refused": found.refused,
         "parameters": [

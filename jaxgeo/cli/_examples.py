@@ -71,6 +71,7 @@ EXAMPLES = {
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --measure orientation -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --features sift -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --reference map.tif -o adjusted",
+        "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --shots-by name --flights-by 20min -o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --gcp gcp_list.txt --gcp-datum EPSG:5773 "
         "-o adjusted",
         "jaxgeo adjust images --camera-datum ellipsoid --dem dem.tif --readout 0.03 --time-offset-sigma 0.05 "

@@ -71,7 +71,7 @@ class OrientedImages:
         from jaxgeo.io.acquisitions.detect import DRONE_IMAGES
 
         for file in self.files:
-            form = _form(file)
+            form = form_of_file(file)
             if form is not None and form.name.startswith(NO_IMAGES):
                 raise UserError(
                     f"{file} ({form.name}) does not refer to image files. Give drone images, or a reconstruction or "
@@ -207,7 +207,8 @@ def image_named(folder: pathlib.Path, name: str, by_stem: dict[str, list[pathlib
     return found[0] if found else exact
 
 
-def _form(file: pathlib.Path) -> Any:
+def form_of_file(file: pathlib.Path) -> Any:
+    """The form of a file, None if it is not known."""
     from jaxgeo.io.acquisitions.detect import form_of
     from jaxgeo.io.errors import TableError
 

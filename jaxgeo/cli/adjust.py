@@ -28,6 +28,7 @@ from jaxgeo.cli._adjust_outputs import (
     write_files,
     write_page,
 )
+from jaxgeo.cli._adjust_rigs import Groups, RigOptions, as_options
 from jaxgeo.cli._assumed import print_assumed
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
@@ -109,6 +110,7 @@ def adjust_command(
     of_control: ControlOptions = ControlOptions(),
     on_map: MapOptions = MapOptions(),
     in_motion: MotionOptions = MotionOptions(),
+    of_rigs: RigOptions = RigOptions(),
     reading_dem: DemOptions = DemOptions(),
     reading: ReadingOptions = ReadingOptions(),
     as_json: AsJson = False,
@@ -129,6 +131,7 @@ def adjust_command(
         _check_map(crs)
         on_map.check()
         in_motion.check(on_map.reference)
+        of_rigs.check_options()
         _check_features(features, measure, on_map)
         if report:
             check_report()
@@ -143,7 +146,7 @@ def adjust_command(
         from jaxgeo.ties import KeptMatches as Kept
 
         surveyed = of_control.read()
-        block = _read(given.on(dem, reading_dem, Sigmas(dem=dem_sigma)))
+        block = _read(given.on(dem, reading_dem, Sigmas(dem=dem_sigma)), of_rigs)
         known = len(block.assumed)
         views, paths = in_motion.moving(block.views, block.paths, block.assumed), block.paths
         print_assumed(block.assumed[known:])
@@ -183,7 +186,7 @@ def adjust_command(
                 more["mosaic"] = of_mosaic.write(found, paths, terrain, crs, reading_dem.reach)
                 written.append(more["mosaic"]["file"])
         print_written(*([output] if written else []), of_mosaic.mosaic if found is not None else None)
-        content = content_of(views, ties, found, written, time.perf_counter() - began) | more
+        content = content_of(views, ties, found, written, time.perf_counter() - began) | block.groups.content | more
         if as_json:
             print_json("adjust", {"inputs": inputs, "assumed": block.assumed, **content})
         else:
@@ -200,12 +203,13 @@ class Features(StrEnum):
 
 
 class Block(NamedTuple):
-    """The images with their navigation, their files, what is assumed of them, and their errors."""
+    """The images with their navigation, their files, what is assumed of them, their errors, shots and flights."""
 
     views: Views
     paths: list[pathlib.Path]
     assumed: list[str]
     errors: list[Any]
+    groups: Groups
 
 
 def _check_several(given: OrientedImages) -> None:
@@ -252,7 +256,7 @@ def _check_map(crs: str | None) -> None:
         raise UserError(f"{error}".removeprefix(": ").replace("crs = ", "--crs ", 1)) from error
 
 
-def _read(given: OrientedImages) -> Block:
+def _read(given: OrientedImages, of_rigs: RigOptions) -> Block:
     """The images, without copies. Raises `UserError` for fewer than two."""
     from jaxgeo.ties import Views
 
@@ -264,12 +268,17 @@ def _read(given: OrientedImages) -> Block:
         raise UserError(f"{observed.source}: adjust needs two images or more with positions; got {len(rows)}.")
     each = [observed.at(row) for row in rows]
     names = [str(observed.columns[row].get("name", row)) for row in rows]
+    paths, exposures = [paths[row] for row in rows], [one.exposure for one, _ in each]
+    groups = of_rigs.groups(given.files, names, paths, exposures)
+    errors, of_mounting = of_rigs.with_mounting(groups, exposures, [errors for _, errors in each])
+    if groups.words():
+        print_note(groups.words())
+    print_assumed(of_mounting)
     try:
-        errors = [errors for _, errors in each]
-        views = Views.of(names, [one.exposure for one, _ in each], errors)
+        views = Views.of(names, exposures, errors, groups.flight, shot=groups.shot, camera=groups.camera)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{observed.source}: {error}") from error
-    return Block(views, [paths[row] for row in rows], assumed, errors)
+        raise UserError(f"{observed.source}: {as_options(f'{error}', groups)}") from error
+    return Block(views, paths, [*assumed, *of_mounting], errors, groups)
 
 
 def _without_copies(rows: list[int], paths: list[pathlib.Path]) -> list[int]:

@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from jaxgeo.io.regions import write_probability_map, write_region
     from jaxgeo.io.scene_from_records import write_scene
     from jaxgeo.io.scene_writer import write_updated_scene
+    from jaxgeo.io.shot_groups import flights_by_time, shots_by_name, shots_by_time
     from jaxgeo.io.tie_points import TieRow, write_tie_points
     from jaxgeo.io.tracks import write_track
 
@@ -92,6 +93,7 @@ __all__ = [
     "exposures_of",
     "fetch_dem",
     "fetch_geoid",
+    "flights_by_time",
     "height_msl",
     "intersect_files",
     "locate_files",
@@ -118,6 +120,8 @@ __all__ = [
     "read_orthoimage_and_report",
     "rectify_file",
     "samples_dataset",
+    "shots_by_name",
+    "shots_by_time",
     "undulation",
     "with_positions",
     "with_usual_errors",
@@ -185,6 +189,7 @@ _NAMES_OF = {
     "regions": "write_probability_map write_region",
     "scene_from_records": "write_scene",
     "scene_writer": "write_updated_scene",
+    "shot_groups": "flights_by_time shots_by_name shots_by_time",
     "tie_points": "TieRow write_tie_points",
     "tracks": "write_track",
 }

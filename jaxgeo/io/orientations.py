@@ -94,6 +94,8 @@ class Orientations:
 
 OF_PROGRAMS = {*(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)), "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
 
+OF_GROUPS = ("shot", "flight")  # read by `jaxgeo.io.shot_groups`
+
 
 def read_orientations(
     path: str | os.PathLike[str],
@@ -331,8 +333,9 @@ def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergen
 def unread_of(columns: Columns) -> list[str]:
     """[a sentence on the columns of a table of orientations or positions that are not read], or []."""
     of_programs = {name for name in columns.table.header if name.lower() in OF_PROGRAMS}
+    of_groups = {name for name in columns.table.header if name.strip().lower() in OF_GROUPS}
     known = {*ALIASES, *SIGMA_COLUMNS} - set(columns.called)
-    return unread_columns(columns.table.header, known, read={*columns.called.values(), *of_programs})
+    return unread_columns(columns.table.header, known, read={*columns.called.values(), *of_programs, *of_groups})
 
 
 def _of_program(columns: Columns) -> list[str]:

@@ -13,6 +13,7 @@ from jaxgeo.ties.opencv_features import OrbFeatures, SiftFeatures
 from jaxgeo.ties.pairs import Pair, candidate_pairs
 from jaxgeo.ties.pictures import Pictures
 from jaxgeo.ties.recursive import FrameEstimate, RecursiveCorrection
+from jaxgeo.ties.relative import RelativeOrientation
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
@@ -33,6 +34,7 @@ __all__ = [
     "PairMatches",
     "Pictures",
     "RecursiveCorrection",
+    "RelativeOrientation",
     "SiftFeatures",
     "TieOutcome",
     "Ties",

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxgeo.adjust import Block, GroundPoints, ImagePoints, Images, Navigation
+from jaxgeo.adjust.kept import Kept, control_of
 from jaxgeo.sensor import Mount
+from jaxgeo.ties.shared import OF_SHOT
 from jaxgeo.ties.views import Views
 
 LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
@@ -52,6 +56,40 @@ def _navigation(views: Views) -> Navigation:
         velocity=views.velocity,
         turn_rate=views.turn_rate,
     )
+
+
+def shots_of_block(block: Block) -> np.ndarray:
+    """A number (n,) for each image, the same for images that share errors of one shot."""
+    common = {} if block.navigation is None else block.navigation.common
+    of_shots = [np.any(effects != 0.0, axis=1) for name, effects in common.items() if OF_SHOT in name]
+    if not of_shots:
+        return np.arange(len(block.images))
+    shared = np.stack([*of_shots, *np.diag(~np.any(of_shots, axis=0))], axis=1)
+    return np.unique(shared, axis=0, return_inverse=True)[1].ravel()
+
+
+def free_poses(block: Block) -> int:
+    """Number of images whose orientations are free of each other: those of one shot count once."""
+    return len(np.unique(shots_of_block(block)))
+
+
+def with_places(block: Block, kept: Kept) -> Kept:
+    """Without the measurements of points that a single shot still shows and that are not control."""
+    shot = shots_of_block(block)
+    if len(np.unique(shot)) == len(shot):
+        return kept
+    known = control_of(block).name[kept.control].tolist()
+    rows = in_several(block.observations, shot[block.images.rows_of(block.observations.image)], kept.rows, known)
+    return Kept(rows, kept.control)
+
+
+def in_several(observations: ImagePoints, shot: np.ndarray, rows: np.ndarray, known: Sequence[str]) -> np.ndarray:
+    """Flags (k,) of those measurements among `rows` whose points are `known`, or in two shots or more by these; `shot`
+    (k,) is that of each."""
+    names, point = observations.point_numbers
+    pairs = np.unique(np.stack([point[rows], shot[rows]], axis=1), axis=0)
+    often = np.bincount(pairs[:, 0], minlength=len(names)) >= 2
+    return rows & (often | np.isin(names, list(known)))[point]
 
 
 def information_of(covariance: np.ndarray, least: float) -> np.ndarray:

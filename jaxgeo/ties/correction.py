@@ -9,24 +9,24 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
-from jaxgeo.adjust.initial_points import of_parallel_rays
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.ties.block import Ties
-from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
+from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views, with_places
+from jaxgeo.ties.connections import largest_part, of_images, of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
 from jaxgeo.ties.map_control import MapControl
+from jaxgeo.ties.relative import RelativeOrientation, relative_orientations
+from jaxgeo.ties.shared import OF_MODE, OF_SHOT
 from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_wrong_control
-from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 MUCH = 3.0  # standard deviations of the pixels of control: what their residuals add to these, if it is doubted
 NOT_INTERIOR = READOUT, REFRACTION, "time offset"  # parameters beside those of a self-calibration
-GROUND = "\n"  # name of an image that shows all control points: none of a file has it
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,11 @@ class Correction:
         """Names of the errors that images share and of which the adjustment left more than nine tenths."""
         return [name for name, (_, left) in self.adjustment.common.items() if left > HIDDEN]
 
+    @cached_property
+    def relative_orientations(self) -> list[RelativeOrientation]:
+        """Of images with shots: each camera against an earlier one on its mount."""
+        return relative_orientations(self.views, self.adjustment)
+
     @property
     def has_control(self) -> bool:
         """Whether control points are in the adjustment."""
@@ -118,16 +123,16 @@ class Correction:
                 "Focal length and principal point are held as given: their errors are not in the standard deviations, "
                 "unless self-calibration takes them in."
             )
-        constant = [name for name in self.hidden if ", mode" not in name]
+        lines += [one.words() for one in self.relative_orientations]
+        constant = [name for name in self.hidden if OF_MODE not in name and OF_SHOT not in name]
         if constant:
-            lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")
+            lines.append(f"Of the errors that images share, these stay as they were: {_some(constant, 12)}.")
         if self.unconnected:
-            some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
-            lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
+            lines.append(f"Not adjusted, for no tie points join them to the others: {_some(self.unconnected)}.")
         lines += [f"The map does not count in {name}: {reason}" for name, reason in self.refused.items()]
         if self.doubtful:
             and_control = ", and coordinate system and vertical datum of the control" if self.has_control else ""
-            some = ", ".join(self.doubtful[:10]) + (" ..." if len(self.doubtful) > 10 else "")
+            some = _some(self.doubtful)
             lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors{and_control}: {some}.")
         return "\n".join(lines)
 
@@ -135,7 +140,7 @@ class Correction:
         east, north, up = self.sigma_of_mean
         shift = f"{east:.3g}, {north:.3g}, {up:.3g} m (E, N, U; one sigma"
         if self.map_control is not None:
-            names = ", ".join(self.map_control.names[:10]) + (" ..." if len(self.map_control) > 10 else "")
+            names = _some(self.map_control.names)
             known = f"is known to {shift})" if not self.has_control else f"is known by control and map to {shift})"
             return (
                 f"Registered to the map: {names}. The mean position of all images {known}, the errors of the map "
@@ -201,17 +206,18 @@ def correct(
         )
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
-    observations = _of_places(views, observations, ground)
+    observations = of_places(views, observations, ground)
     while True:
-        part = _largest_part(views, observations, ground)
+        part = largest_part(views, observations, ground)
         if len(part) < 2:
             raise ValueError(
                 "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
-        block = block_of_views(views, _of_images(observations, part, ground), ground)
+        block = block_of_views(views, of_images(views, observations, part, ground), ground)
         kept, values, excess = robust_solution(block, unknowns, terrain)
+        kept = with_places(block, kept)
         left = block.observations.of(kept.rows)
-        if set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
+        if set(largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
             break
         observations = left  # an image has lost its ties
     final = least_squares(block, unknowns, terrain, kept, values, excess)
@@ -255,35 +261,6 @@ def _with_control(
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
 
 
-def _largest_part(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> list[str]:
-    """Names of the images of the largest connected part; images with three control points are connected."""
-    if ground is None:
-        return connected(views.name, observations)[0]
-    all_control = np.unique(observations.point[np.isin(observations.point, ground.name)])
-    of_ground = ImagePoints(np.full(len(all_control), GROUND), all_control, np.zeros((len(all_control), 2)))
-    parts = connected(np.append(views.name, GROUND), ImagePoints.joined([observations, of_ground]))
-    return max(([name for name in part if name != GROUND] for part in parts), key=len)
-
-
-def _of_places(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> ImagePoints:
-    """The measurements of points that are control, or whose rays are not parallel. Raises `ValueError` if there are
-    none."""
-    parallel = of_parallel_rays(block_of_views(views, observations, ground))
-    if ground is not None:
-        parallel &= ~np.isin(observations.point, ground.name)
-    if np.all(parallel):
-        raise ValueError(
-            "the rays of all tie points are parallel, so that these have no place; are the images of one position, or "
-            "one image under several names?"
-        )
-    return observations.of(~parallel) if np.any(parallel) else observations
-
-
-def _of_images(observations: ImagePoints, names: list[str], ground: GroundPoints | None) -> ImagePoints:
-    known = () if ground is None else ground.name.tolist()
-    return observations.of(np.isin(observations.image, names)).seen_often(known=known)
-
-
 def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
     found, excess = final.found, final.excess
     rows = _rows(views, [str(name) for name in found.images.name])
@@ -318,6 +295,10 @@ def rms_of_rays(views: Views, observations: ImagePoints) -> float:
     focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
     each = np.array([focal[str(name)] for name in block.images.camera])[rays.image]
     return float(np.sqrt(0.5 * np.mean((rays.residual * rays.sigma * each) ** 2)))
+
+
+def _some(names: list[str], most: int = 10) -> str:
+    return ", ".join(names[:most]) + (" ..." if len(names) > most else "")
 
 
 def _vectors(turn: np.ndarray) -> np.ndarray:

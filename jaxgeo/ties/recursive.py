@@ -16,10 +16,11 @@ from jaxgeo.register.registration import Registration
 from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, information_of
+from jaxgeo.ties.cameras import are_equal
 from jaxgeo.ties.control_choice import CONTRADICTS, IMPROBABLE, UNCLEAR, chance
 from jaxgeo.ties.drift import Drifting, drifting
 from jaxgeo.ties.map_control import Measured, measured_by
-from jaxgeo.ties.views import are_equal, check_errors, checked_frame, pose_errors
+from jaxgeo.ties.views import check_errors, checked_frame, pose_errors
 from jaxgeo.ties.window import POSE, Frame, Window, empty, with_frame, with_names
 from jaxgeo.ties.window_solution import Solved, largest_correction, map_rows, solved, without_oldest
 
@@ -70,7 +71,8 @@ class RecursiveCorrection:
 
     Errors of the navigation are states by the `sharing` of their sources: `TimeCorrelated` ones are first-order
     Gauss-Markov processes in the times of the shots, `PerFlight` and `Systematic` ones constants, `PerImage` ones
-    independent. All images are of one flight.
+    independent. All images are of one flight, and each is an exposure of its own: those of several cameras on one mount
+    count as independent. Adjust these by `correct`, with `Views.of(..., shot=...)`.
 
     The estimates are those of one adjustment of all images (`correct`), up to linearisation, where no point is
     measured over more than `window` images, one after the other. The measurements of a longer track count as those of

@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._compile import quick_filter_jit
+from jaxgeo.ties.rigs import Rigs, second_order
 from jaxgeo.uncertainty import PerFlight, PerImage, Systematic
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, PerMeasurement
 from jaxgeo.uncertainty.sources.base import AbstractSource
 
 NONE = 1e-9  # of the largest eigenvalue of a correlation: smaller ones are none
 MOST = 600  # shared numbers of one source, all axes together; what the others explain is taken as each image's own
+OF_MODE, OF_SHOT = ", mode ", ", shot "  # in names of numbers of which there are many
 
 
 class OfImage(NamedTuple):
@@ -34,31 +36,55 @@ class Split(NamedTuple):
     common: dict[str, np.ndarray]
 
 
-def split(images: Sequence[OfImage], time: np.ndarray, flight: np.ndarray) -> Split:
+def split(images: Sequence[OfImage], time: np.ndarray, flight: np.ndarray, rigs: Rigs | None = None) -> Split:
     """Errors of n images at `time` (n,) in s, of the flights numbered `flight` (n,).
 
     A source that is common to flights is one number for each axis and flight. Of one that is correlated in time, the
     correlation matrix of its images is reduced by its smallest eigenvalue, which is each image's own, and the rest is
     written by its eigenvectors (Karhunen-Loeve), all of them up to `MOST` numbers.
+
+    With `rigs`, images of one shot share what would be each image's own, as numbers of the shot; mounting errors are of
+    each camera, or of the cameras on one gimbal head (`Rigs.of_source`). To what images have alone is then added what
+    the sum of both lacks (`second_order`).
     """
     own, common = np.zeros((len(images), 6, 6)), {}
-    for label, members in _alike(images).items():
+    shot = np.arange(len(images)) if rigs is None else rigs.shot
+    turn, mounting = np.zeros((len(images), 3, 3)), np.zeros((len(images), 6, 6))
+    for (label, of), members in _alike(images, rigs).items():
         rows = np.array(sorted(members))
         source = members[int(rows[0])][0]
         effects = np.stack([effects_of(images[row], members[row][1]) for row in rows.tolist()])
-        names, modes = _modes(source.sharing, time[rows], flight[rows], len(source.axes))
+        if rigs is not None:
+            effects = rigs.together(rows, effects)
+            squared = effects @ np.swapaxes(effects, 1, 2)
+            if rigs.of_source(source) is None:
+                turn[rows] += squared[:, 3:, 3:]
+            else:
+                mounting[rows] += squared
+        numbers, first, place, count = np.unique(shot[rows], True, True, True)
+        names, modes = _modes(source.sharing, time[rows[first]], flight[rows[first]], len(source.axes))
         rest = np.maximum(1.0 - np.sum(modes**2, axis=1), 0.0)
-        own[rows] += rest[:, None, None] * effects @ np.swapaxes(effects, 1, 2)
-        for name, mode in zip(names, modes.T, strict=True):
+        is_alone = (count == 1) | isinstance(source.sharing, PerMeasurement)
+        own[rows] += (rest * is_alone)[place][:, None, None] * effects @ np.swapaxes(effects, 1, 2)
+        of_shots = np.flatnonzero(~is_alone & (rest > NONE))
+        names = [*names, *(f"{OF_SHOT}{number}" for number in numbers[of_shots].tolist())]
+        modes = np.hstack([modes, np.diag(np.sqrt(rest))[:, of_shots]])
+        for name, mode in zip(names, modes[place].T, strict=True):
             for axis, one in enumerate(source.axes):
                 column = np.zeros((len(images), 6))
                 column[rows] = effects[:, :, axis] * mode[:, None]
-                common[f"{label}: {one}{name}"] = column
+                common[f"{label}: {one}{of}{name}"] = column
+    if rigs is not None:
+        for row in np.flatnonzero(rigs.is_shared).tolist():
+            own[row] += second_order(turn[row], mounting[row], rigs.R_frame_from_camera[row])
     return Split(own, common)
 
 
-def _alike(images: Sequence[OfImage]) -> dict[str, dict[int, tuple[AbstractSource, slice]]]:
-    """Sources that are the same in several images, by label: the source and its place in the errors, by image."""
+def _alike(
+    images: Sequence[OfImage], rigs: Rigs | None
+) -> dict[tuple[str, str], dict[int, tuple[AbstractSource, slice]]]:
+    """Sources that are the same in several images: the source and its place in the errors, by image. By label, and the
+    ending of names of those that only some cameras share."""
     found: dict[tuple[Any, ...], dict[int, tuple[AbstractSource, slice]]] = {}
     for row, image in enumerate(images):
         first, seen = 0, {}
@@ -66,15 +92,21 @@ def _alike(images: Sequence[OfImage]) -> dict[str, dict[int, tuple[AbstractSourc
             kind = source.label, source.axes, _words(source.sharing)
             seen[kind] = seen.get(kind, 0) + 1
             place = slice(first, first + len(source.axes))
-            found.setdefault((*kind, seen[kind]), {})[row] = source, place
+            found.setdefault((*kind, seen[kind], _ending(rigs, source, row)), {})[row] = source, place
             first = place.stop
-    labels: dict[str, dict[int, tuple[AbstractSource, slice]]] = {}
+    labels: dict[tuple[str, str], dict[int, tuple[AbstractSource, slice]]] = {}
     for key, members in found.items():
-        label, count = key[0], 2
-        while label in labels:
+        label, of, count = key[0], key[-1], 2
+        while (label, of) in labels:
             label, count = f"{key[0]} {count}", count + 1
-        labels[label] = members
+        labels[label, of] = members
     return labels
+
+
+def _ending(rigs: Rigs | None, source: AbstractSource, row: int) -> str:
+    """Ending of the names of numbers that only some cameras share."""
+    of = None if rigs is None else rigs.of_source(source)
+    return "" if of is None or len(np.unique(of)) == 1 else f", camera {of[row]}"
 
 
 def _words(sharing: AbstractSharing) -> tuple[Any, ...]:
@@ -101,7 +133,7 @@ def _modes(sharing: AbstractSharing, time: np.ndarray, flight: np.ndarray, axes:
     values, vectors = np.linalg.eigh(np.asarray(_correlations(sharing, jnp.asarray(time), jnp.asarray(flight))))
     values = values - max(values[0], 0.0)
     kept = np.flatnonzero(values > NONE * values[-1])[::-1][: max(MOST // axes, 1)]
-    return [f", mode {k + 1}" for k in range(len(kept))], vectors[:, kept] * np.sqrt(values[kept])
+    return [f"{OF_MODE}{k + 1}" for k in range(len(kept))], vectors[:, kept] * np.sqrt(values[kept])
 
 
 @quick_filter_jit

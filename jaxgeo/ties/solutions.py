@@ -17,6 +17,7 @@ from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
+from jaxgeo.ties.block_of_views import free_poses, with_places
 from jaxgeo.ties.control_tests import failing, fitting, named_blunders
 from jaxgeo.ties.excess import by_median, excess_of, of_few
 from jaxgeo.ties.robust import WIDEST, WIDTH, ScaledCauchy
@@ -136,7 +137,7 @@ def _excess_of(block: Block, kept: Kept, off: np.ndarray, sigma: np.ndarray, is_
     ties = 0.0
     if not np.all(is_mark):
         points = len(np.unique(block.observations.point[kept.rows][~is_mark]))
-        freedom = max(2 * int(np.count_nonzero(~is_mark)) - 6 * len(block.images) - 3 * points, 1)
+        freedom = max(2 * int(np.count_nonzero(~is_mark)) - 6 * free_poses(block) - 3 * points, 1)
         ties = excess_of(off[~is_mark], sigma[~is_mark], freedom)
     return Excess(ties, max(ties, of_few(*_largest(off[is_mark], sigma[is_mark]))))
 
@@ -151,9 +152,9 @@ def without_wrong_control(
     tried: list[Kept] = []
     for _ in range(3 * len(control_of(block))):
         given = final.found, final.excess.less_sure(block), final.full, final.kept
-        kept = failing(*given)
+        kept = with_places(block, failing(*given))
         if _same(kept, final.kept):
-            kept = fitting(*given)
+            kept = with_places(block, fitting(*given))
         if any(_same(kept, one) for one in (final.kept, *tried)):
             break
         tried.append(final.kept)

@@ -24,7 +24,9 @@ from jaxgeo.observation import Exposure
 from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+from jaxgeo.ties.cameras import cameras_of, mounts_of, named_cameras
 from jaxgeo.ties.motion import motion_of
+from jaxgeo.ties.rigs import Rigs, check_cameras, check_together, shots_of
 from jaxgeo.ties.shared import OfImage, split
 from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -52,7 +54,8 @@ class Views:
     centres and `R_frame_from_camera` (n, 3, 3) the orientations (camera right, down, forward). `covariance` (n, 6, 6)
     is that of their navigation errors: centre in m (frame axes), rotation in rad about the camera's axes. It is the sum
     of `own` (n, 6, 6), of errors that are independent between images, and of the products of `common` (n, 6), by name:
-    one standard deviation of each error that images share, such as a boresight.
+    one standard deviation of each error that images share, such as a boresight. `shot` (n,) are numbers of exposures,
+    None if each image is one of its own.
     """
 
     name: Names
@@ -65,6 +68,7 @@ class Views:
     covariance: np.ndarray
     own: np.ndarray
     common: dict[str, np.ndarray]
+    shot: np.ndarray | None = None
     velocity: np.ndarray | None = None
     """Velocities (n, 3) of the perspective centres at the exposures, m/s in frame axes, NaN where unknown; see
     `moving`."""
@@ -79,15 +83,36 @@ class Views:
         return len(self.name)
 
     @classmethod
-    def of(cls, name: Any, exposures: Sequence[Exposure], errors: Sequence[Any], flight: Any = None) -> Views:
+    def of(
+        cls,
+        name: Any,
+        exposures: Sequence[Exposure],
+        errors: Sequence[Any],
+        flight: Any = None,
+        *,
+        shot: Any = None,
+        camera: Any = None,
+    ) -> Views:
         """Views from exposures and their error sources: a model, or a tuple of sources, for each image.
 
         Only errors of position, attitude, gimbal and mounting count, each shared between images as its `sharing` says
         (`PerImage`, `PerFlight`, `TimeCorrelated` by the times of the shots, ...). `flight` (n,) are numbers of their
-        flights, by default one. Images with equal cameras share one, named "1", "2" and so on. Raises `TypeError` for
-        other cameras than frame cameras and for moving sensors, `ValueError` for no images, duplicate names, counts
-        that differ, and an image whose navigation has no error of position or of attitude: without one nothing is
-        adjusted, and no search area is known.
+        flights, by default one. Images with equal cameras share one, named "1", "2" and so on; or `camera` (n,) names
+        the camera of each.
+
+        `shot` (n,) are numbers of exposures: images of one shot are of several cameras on one mount at one instant.
+        They share all errors but those of the mounting, one number for each axis and shot, so that their relative
+        orientation is known up to these; the mount moves as one rigid body, by the errors that its first image states.
+        Only `PerMeasurement` errors stay each image's own. With `shot` or `camera`, cameras are equal if their whole
+        sensors are, and mounting errors are numbers of their own for each camera (`CameraMounting`, `LeverArm`), or
+        for the cameras on one gimbal head (`Boresight`, `GimbalMounting`, `GimbalAngles`): those whose gimbal,
+        `Mount.R_body_from_base` and `Mount.lever_body` are the same. A `Correlated` one is of the smallest group among
+        its parts.
+
+        Raises `TypeError` for other cameras than frame cameras and for moving sensors, `ValueError` for no images,
+        duplicate names, counts that differ, a shot with two images of one camera, or of stated positions or times that
+        do not belong together, and an image whose navigation has no error of position or of attitude: without one
+        nothing is adjusted, and no search area is known.
         """
         require_x64()
         names, exposures = as_names(name, "name"), tuple(exposures)
@@ -100,16 +125,26 @@ class Views:
             )
         exposures = tuple(checked_frame(one, exposure) for one, exposure in zip(names, exposures, strict=True))
         frame = frame_at(_stacked([_shot(one).pose.position for one in exposures]))
-        camera, cameras = _cameras_of(exposures)
+        flights, is_rig = _flights(flight, len(names)), shot is not None or camera is not None
+        numbers = shots_of(np.arange(len(names)) if shot is None else shot, len(names))
+        which, cameras = cameras_of(exposures, is_rig) if camera is None else named_cameras(names, exposures, camera)
         models = [pose_errors(given) for given in errors]
         found = [oriented(frame, one, model) for one, model in zip(exposures, models, strict=True)]
         centre, R = (np.stack([np.asarray(one[k]) for one in found]) for k in range(2))
         each = [OfImage(one.sources, *map(np.asarray, part[2:])) for one, part in zip(models, found, strict=True)]
-        own, common = split(each, np.array([float(_shot(one).time) for one in exposures]), _flights(flight, len(names)))
+        rigs = None
+        if is_rig:
+            check_cameras(names, numbers, which, flights)
+            rigs = Rigs(numbers, which, mounts_of([one.sensor for one in exposures], which), centre, R)
+        own, common = split(each, np.array([float(_shot(one).time) for one in exposures]), flights, rigs)
         covariance = own + sum((one[:, :, None] * one[:, None, :] for one in common.values()), np.zeros(own.shape))
         check_errors(names, covariance)
-        Images(names, camera, centre, R)  # raises for duplicate names and poses that are not finite
-        return cls(names, exposures, camera, cameras, frame, centre, R, covariance, own, common)
+        Images(names, which, centre, R)  # raises for duplicate names and poses that are not finite
+        given = names, exposures, which, cameras, frame, centre, R, covariance, own, common
+        views = cls(*given, shot=numbers if is_rig else None)
+        if is_rig:
+            check_together(names, exposures, numbers, which, views.covariance_of_pair)
+        return views
 
     def moving(
         self,
@@ -238,28 +273,6 @@ def _flights(flight: Any, count: int) -> np.ndarray:
 
 def _stacked(items: Sequence[Geodetic]) -> Geodetic:
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(one) for one in leaves]), *items)
-
-
-def _cameras_of(exposures: Sequence[Exposure]) -> tuple[Names, dict[str, FrameCamera]]:
-    """(name of each image's camera, cameras by name)."""
-    cameras: dict[str, FrameCamera] = {}
-    names = []
-    for exposure in exposures:
-        camera = exposure.sensor.camera
-        assert isinstance(camera, FrameCamera)
-        same = next((name for name, one in cameras.items() if one is camera or are_equal(one, camera)), None)
-        if same is None:
-            same = str(len(cameras) + 1)
-            cameras[same] = camera
-        names.append(same)
-    return np.array(names), cameras
-
-
-def are_equal(one: Any, other: Any) -> bool:
-    a, b = jax.tree.leaves(one), jax.tree.leaves(other)
-    if jax.tree.structure(one) != jax.tree.structure(other):
-        return False
-    return all(np.array_equal(np.asarray(x), np.asarray(y)) for x, y in zip(a, b, strict=True))
 
 
 def pose_errors(errors: Any) -> ErrorModel:

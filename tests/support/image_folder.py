@@ -45,7 +45,15 @@ class ImageFolder:
         return [f"{self.images}", "--camera-datum", "ellipsoid", "--dem", f"{self.dem}"]
 
 
-def _written(folder: pathlib.Path, name: str, pose: np.ndarray, grey: np.ndarray | None = None) -> None:
+def written(
+    folder: pathlib.Path,
+    name: str,
+    pose: np.ndarray,
+    grey: np.ndarray | None = None,
+    focal: float = FOCAL,
+    moment: str | None = None,
+) -> None:
+    """An image with the tags of its pose (deg, m), of a camera with that focal length, exposed at a moment in UTC."""
     lat, lon, height, yaw, pitch, roll = pose
     tags = {
         "drone-dji:AbsoluteAltitude": f"{height:+.4f}",
@@ -54,14 +62,16 @@ def _written(folder: pathlib.Path, name: str, pose: np.ndarray, grey: np.ndarray
         "drone-dji:GimbalYawDegree": f"{yaw:+.6f}",
         "drone-dji:GimbalPitchDegree": f"{pitch:+.6f}",
         "drone-dji:GimbalRollDegree": f"{roll:+.6f}",
-        "drone-dji:CalibratedFocalLength": f"{FOCAL}",
+        "drone-dji:CalibratedFocalLength": f"{focal}",
         "drone-dji:CalibratedOpticalCenterX": f"{(SIZE[0] - 1) / 2}",
         "drone-dji:CalibratedOpticalCenterY": f"{(SIZE[1] - 1) / 2}",
     }
+    tags |= {} if moment is None else {"drone-dji:UTCAtExposure": moment}
     write_image(folder / name, packet(tags), make="DJI", exif=EXIF, size=SIZE, grey=grey)
 
 
-def _texture(seed: int) -> Orthoimage:
+def texture_of(seed: int) -> Orthoimage:
+    """Grey values of the ground."""
     rng = np.random.default_rng(seed)
     grid = TangentGrid.centred(Geodetic.from_degrees(lat=LAT, lon=LON, height=0.0), spacing=(CELL, CELL), shape=SHAPE)
     parts = [scipy.ndimage.gaussian_filter(rng.normal(size=SHAPE), width) for width in (1.0, 2.5, 6.0)]
@@ -86,11 +96,11 @@ def write_folder(root: pathlib.Path, count: int = 4, seed: int = 0) -> ImageFold
         ]
     )  # fmt: skip
     for name, pose in zip(names, poses, strict=True):
-        _written(_made(root / "true"), name, pose)
+        written(made(root / "true"), name, pose)
     observed = read_observations([root / "true"], height_datum="ellipsoid")
     true = [observed.at(row)[0].exposure for row in range(count)]
-    texture = _texture(seed)
-    images = _made(root / "images")
+    texture = texture_of(seed)
+    images = made(root / "images")
     for k, (name, pose, exposure) in enumerate(zip(names, poses, true, strict=True)):
         seen = render(exposure.sensor, exposure.motion, texture, terrain)
         assert seen.known.all(), name
@@ -99,7 +109,7 @@ def write_folder(root: pathlib.Path, count: int = 4, seed: int = 0) -> ImageFold
             grey = 128.0 + 30.0 * rng.normal(size=SIZE[::-1])
         north, east, up = METRES * rng.normal(size=3)
         off = np.array([north / 111_180.0, east / 76_060.0, up, *(DEGREES * rng.normal(size=3))])
-        _written(images, name, pose + off, np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+        written(images, name, pose + off, np.clip(np.rint(grey), 0, 255).astype(np.uint8))
     return ImageFolder(images, dem, _map(root / "map.tif", texture), names, true)
 
 
@@ -118,6 +128,7 @@ def _map(path: pathlib.Path, texture: Orthoimage) -> pathlib.Path:
     return write(path, values.reshape(lat.shape).astype(np.float32), affine=affine)
 
 
-def _made(folder: pathlib.Path) -> pathlib.Path:
+def made(folder: pathlib.Path) -> pathlib.Path:
+    """The folder, which exists then."""
     folder.mkdir(parents=True, exist_ok=True)
     return folder
