@@ -25,7 +25,7 @@ SIZE, FOCAL = (256, 192), 240.0  # px
 POSTS, SPACING, RELIEF = 256, 5.0, 30.0  # of the elevation model, m
 SHAPE, CELL = (900, 900), 0.6  # of the texture on the ground
 METRES, DEGREES = (2.0, 2.0, 3.0), (0.6, 0.4, 0.4)  # errors in the tags: north, east, up; yaw, pitch, roll
-EXIF = {0x920A: 8.8, 0xA002: SIZE[0], 0xA003: SIZE[1]}
+FOCAL_LENGTH, WIDTH, HEIGHT = 0x920A, 0xA002, 0xA003  # tags of EXIF
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,10 @@ def written(
     grey: np.ndarray | None = None,
     focal: float = FOCAL,
     moment: str | None = None,
+    size: tuple[int, int] = SIZE,
 ) -> None:
-    """An image with the tags of its pose (deg, m), of a camera with that focal length, exposed at a moment in UTC."""
+    """An image with the tags of its pose (deg, m), of a camera with that focal length and (width, height), exposed at a
+    moment in UTC."""
     lat, lon, height, yaw, pitch, roll = pose
     tags = {
         "drone-dji:AbsoluteAltitude": f"{height:+.4f}",
@@ -63,11 +65,12 @@ def written(
         "drone-dji:GimbalPitchDegree": f"{pitch:+.6f}",
         "drone-dji:GimbalRollDegree": f"{roll:+.6f}",
         "drone-dji:CalibratedFocalLength": f"{focal}",
-        "drone-dji:CalibratedOpticalCenterX": f"{(SIZE[0] - 1) / 2}",
-        "drone-dji:CalibratedOpticalCenterY": f"{(SIZE[1] - 1) / 2}",
+        "drone-dji:CalibratedOpticalCenterX": f"{(size[0] - 1) / 2}",
+        "drone-dji:CalibratedOpticalCenterY": f"{(size[1] - 1) / 2}",
     }
     tags |= {} if moment is None else {"drone-dji:UTCAtExposure": moment}
-    write_image(folder / name, packet(tags), make="DJI", exif=EXIF, size=SIZE, grey=grey)
+    exif = {FOCAL_LENGTH: 8.8, WIDTH: size[0], HEIGHT: size[1]}
+    write_image(folder / name, packet(tags), make="DJI", exif=exif, size=size, grey=grey)
 
 
 def texture_of(seed: int) -> Orthoimage:

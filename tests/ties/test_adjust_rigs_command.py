@@ -59,7 +59,7 @@ def test_a_folder_with_two_cameras_finds_their_relative_orientation(here: ImageF
     )
     assert result.exit_code == 0, result.output
     assert "jaxgeo: 3 shots of 2 cameras (3 of T, 3 of W); 1 flight" in result.stderr
-    assert "Mounting sigma of each camera against camera T: 1 deg (default)" in " ".join(result.stderr.split())
+    assert "Mounting sigma of each camera against camera W: 1 deg (default)" in " ".join(result.stderr.split())
     content = json.loads(result.stdout)
     assert content["shots"] == {"count": 3, "images_of_cameras": {"T": 3, "W": 3}}
     assert content["flights"] == 1
