@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
+from jaxgeo.adjust import Adjustment, Block, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
 from jaxgeo.adjust.initial_points import of_parallel_rays
+from jaxgeo.adjust.kept import Kept
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.ties.block import Ties
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
@@ -17,7 +18,7 @@ from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
 from jaxgeo.ties.map_control import MapControl
-from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_wrong_control
+from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_unchecked, without_wrong_control
 from jaxgeo.ties.tracks import connected
 from jaxgeo.ties.views import Views
 
@@ -199,12 +200,13 @@ def correct(
                 "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
         block = block_of_views(views, _of_images(observations, part, ground), ground)
-        kept, values, excess = robust_solution(block, unknowns, terrain)
-        left = block.observations.of(kept.rows)
-        if set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
+        found, final = robust_solution(block, unknowns, terrain, views), None
+        if _ties_all(views, block, found.kept, ground) and found.is_by_pairs:
+            found, final = without_unchecked(block, unknowns, terrain, found)
+        if _ties_all(views, block, found.kept, ground):
             break
-        observations = left  # an image has lost its ties
-    final = least_squares(block, unknowns, terrain, kept, values, excess)
+        observations = block.observations.of(found.kept.rows)  # an image has lost its ties
+    final = least_squares(block, unknowns, terrain, found) if final is None else final
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
@@ -243,6 +245,12 @@ def _largest_part(views: Views, observations: ImagePoints, ground: GroundPoints 
     of_ground = ImagePoints(np.full(len(all_control), GROUND), all_control, np.zeros((len(all_control), 2)))
     parts = connected(np.append(views.name, GROUND), ImagePoints.joined([observations, of_ground]))
     return max(([name for name in part if name != GROUND] for part in parts), key=len)
+
+
+def _ties_all(views: Views, block: Block, kept: Kept, ground: GroundPoints | None) -> bool:
+    """Whether what is kept of a block still joins all its images."""
+    left = block.observations.of(kept.rows)
+    return set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}
 
 
 def _of_places(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> ImagePoints:
