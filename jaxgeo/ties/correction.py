@@ -37,7 +37,9 @@ class Correction:
     residuals of the same measurements in px per axis: with the orientations of the navigation, and the adjusted ones.
     `moved` (n, 3) in m and `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north,
     up), rotation about the camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation.
-    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these.
+    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these; among them,
+    `contradicted` those that tie points joined before the ones that contradict each other, or that nothing else checks,
+    were left out. `mostly_left_out` names the adjusted images that kept less than half of their measurements.
 
     With `control`, `control_residuals` has the residuals of control points and check points with their predicted
     standard deviations, and `blunders` the control points, and pixels of them, that did not fit; `excess_of_control` px
@@ -61,6 +63,8 @@ class Correction:
     excess_of_control: float = 0.0
     map_control: MapControl | None = None
     refused: dict[str, str] = field(default_factory=dict)
+    contradicted: list[str] = field(default_factory=list)
+    mostly_left_out: list[str] = field(default_factory=list)
 
     @property
     def names(self) -> list[str]:
@@ -114,13 +118,23 @@ class Correction:
         constant = [name for name in self.hidden if ", mode" not in name]
         if constant:
             lines.append(f"Of the errors that images share, these stay as they were: {', '.join(constant)}.")
-        if self.unconnected:
-            some = ", ".join(self.unconnected[:10]) + (" ..." if len(self.unconnected) > 10 else "")
-            lines.append(f"Not adjusted, for no tie points join them to the others: {some}.")
+        untied = [name for name in self.unconnected if name not in self.contradicted]
+        if untied:
+            lines.append(f"Not adjusted, for no tie points join them to the others: {_some(untied)}.")
+        if self.contradicted:
+            lines.append(
+                f"Not adjusted, for too few of their measurements agree with those of other images and are checked by "
+                f"them: {_some(self.contradicted)}."
+            )
+        if self.mostly_left_out:
+            lines.append(
+                f"More than half of their measurements contradict the others and are left out; check these images: "
+                f"{_some(self.mostly_left_out)}."
+            )
         lines += [f"The map does not count in {name}: {reason}" for name, reason in self.refused.items()]
         if self.doubtful:
             and_control = ", and coordinate system and vertical datum of the control" if self.has_control else ""
-            some = ", ".join(self.doubtful[:10]) + (" ..." if len(self.doubtful) > 10 else "")
+            some = _some(self.doubtful)
             lines.append(f"Moved by more than {FAR:g} sigma of the navigation; check its errors{and_control}: {some}.")
         return "\n".join(lines)
 
@@ -128,7 +142,7 @@ class Correction:
         east, north, up = self.sigma_of_mean
         shift = f"{east:.3g}, {north:.3g}, {up:.3g} m (E, N, U; one sigma"
         if self.map_control is not None:
-            names = ", ".join(self.map_control.names[:10]) + (" ..." if len(self.map_control) > 10 else "")
+            names = _some(self.map_control.names)
             known = f"is known to {shift})" if not self.has_control else f"is known by control and map to {shift})"
             return (
                 f"Registered to the map: {names}. The mean position of all images {known}, the errors of the map "
@@ -139,6 +153,11 @@ class Correction:
         return f"Images alone do not show a shift of all positions: it stays that of the navigation, {shift}" + (
             ")." if self.views.common else ", as its errors are stated to be independent between images)."
         )
+
+
+def _some(names: list[str]) -> str:
+    """The first names of a list, as text."""
+    return ", ".join(names[:10]) + (" ..." if len(names) > 10 else "")
 
 
 def correct(
@@ -193,32 +212,45 @@ def correct(
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
     observations = _of_places(views, observations, ground)
+    joined, is_by_pairs = _largest_part(views, observations, ground), False
     while True:
         part = _largest_part(views, observations, ground)
         if len(part) < 2:
             raise ValueError(
-                "no two images share enough tie points to be adjusted; check the navigation and its errors."
+                "no two images share enough tie points that agree to be adjusted; check the navigation and its errors."
+                if len(joined) > 1
+                else "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
         block = block_of_views(views, _of_images(observations, part, ground), ground)
-        found, final = robust_solution(block, unknowns, terrain, views), None
+        found, final = robust_solution(block, unknowns, terrain, views, is_by_pairs), None
         if _ties_all(views, block, found.kept, ground) and found.is_by_pairs:
             found, final = without_unchecked(block, unknowns, terrain, found)
         if _ties_all(views, block, found.kept, ground):
             break
-        observations = block.observations.of(found.kept.rows)  # an image has lost its ties
+        left, is_by_pairs = block.observations.of(found.kept.rows), found.is_by_pairs  # an image has lost its ties
+        if is_by_pairs:
+            left = _of_images(block.observations, _largest_part(views, left, ground), ground)
+        observations = left
     final = least_squares(block, unknowns, terrain, found) if final is None else final
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
         if control is not None and final.kept.control.size:
             check_fit(views, control, final.excess.control, final.excess.ties)
+    of_ties = _correction(views, final, given, control, blunders)
+    of_ties = replace(
+        of_ties,
+        contradicted=[name for name in joined if name not in of_ties.names],
+        mostly_left_out=_mostly_left_out(block, final.kept),
+    )
     if map_control is None:
-        return _correction(views, final, given, control, blunders)
+        return of_ties
     chosen = with_control(final.found, Tied(block, unknowns, terrain, final.kept, final.excess), map_control)
     if chosen.adjustment is None:
-        return replace(_correction(views, final, given, control, blunders), refused=chosen.refused)
+        return replace(of_ties, refused=chosen.refused)
     result = _correction(views, final._replace(found=chosen.adjustment), given, control, blunders)
-    return replace(result, map_control=chosen.control, refused=chosen.refused)
+    named = {"contradicted": of_ties.contradicted, "mostly_left_out": of_ties.mostly_left_out}
+    return replace(result, map_control=chosen.control, refused=chosen.refused, **named)
 
 
 def _with_control(
@@ -251,6 +283,13 @@ def _ties_all(views: Views, block: Block, kept: Kept, ground: GroundPoints | Non
     """Whether what is kept of a block still joins all its images."""
     left = block.observations.of(kept.rows)
     return set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}
+
+
+def _mostly_left_out(block: Block, kept: Kept) -> list[str]:
+    """Names of images of which more than half of the measurements are left out."""
+    names, _ = block.observations.image_numbers
+    few = kept.of_images(block) < 0.5 * Kept.all(block).of_images(block)
+    return [str(name) for name in names[few]]
 
 
 def _of_places(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> ImagePoints:

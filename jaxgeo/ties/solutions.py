@@ -12,6 +12,7 @@ from jaxgeo.adjust import Adjustment, Block, Blunder, HeightObservations, LeastS
 from jaxgeo.adjust._reliability import reliability
 from jaxgeo.adjust.bundle import adjusted
 from jaxgeo.adjust.equations import known_points
+from jaxgeo.adjust.hypotheses import limit, of_image_points
 from jaxgeo.adjust.kept import Kept, block_of, control_of, masked, set_aside
 from jaxgeo.adjust.measurements import image_residuals, in_view
 from jaxgeo.adjust.problem import Prepared, prepared
@@ -30,6 +31,9 @@ OUTLIER = 4.0  # standard deviations: larger residuals are left out
 FIRST_EXCESS = 1.0
 ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
 ROUNDS = 10
+TAKEN_BACK = 3  # rounds in which measurements that were left out are taken back, once others are barred
+ALPHA = 1e-3  # of each test of a right measurement, where many are wrong
+WORST = 0.7  # of the largest statistic: smaller ones may be its consequences
 LEAST_CHECKED = 0.2  # redundancy of a point in two images: with less, its residual shows too little of its error
 MANY = 0.1  # of the measurements of an image: if more are left out, the solution may have followed wrong ones
 
@@ -62,22 +66,25 @@ class Robust(NamedTuple):
     is_by_pairs: bool = False
 
 
-def robust_solution(block: Block, unknowns: Unknowns, terrain: HeightObservations | None, views: Views) -> Robust:
+def robust_solution(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, views: Views, is_by_pairs: bool = False
+) -> Robust:
     """The robust solution of a block, from the navigation.
 
-    If many measurements of an image do not fit, the solution may follow wrong ones: it then starts anew from those that
-    agree pair by pair within the covariance of the navigation (`agreeing`), and takes back what fits it.
+    If many measurements of an image do not fit, the solution may follow wrong ones: it then starts anew, or at once if
+    it `is_by_pairs`, from those that agree pair by pair within the covariance of the navigation (`agreeing`), and takes
+    back what fits it.
     """
     first = screened_of(block, unknowns, SIGMAS).kept
     start = Robust(first, None, Excess(FIRST_EXCESS, FIRST_EXCESS))
-    found = _settled(block, unknowns, terrain, start, first)
-    if not found.is_by_pairs:
-        return found
+    if not is_by_pairs:
+        found = _settled(block, unknowns, terrain, start, first)
+        if not found.is_by_pairs:
+            return found
     rows = np.where(_of_control(block), first.rows, agreeing(block, views))
     kept = Kept(rows, first.control).whole(block)
-    if not kept.leaves_every_image(block):
-        return found._replace(kept=kept)
-    return _settled(block, unknowns, terrain, start._replace(kept=kept, is_by_pairs=True), kept)
+    by_pairs = start._replace(kept=kept, is_by_pairs=True)
+    return _settled(block, unknowns, terrain, by_pairs, kept) if kept.leaves_every_image(block) else by_pairs
 
 
 def _settled(
@@ -92,12 +99,12 @@ def _settled(
 
     It ends early, with `is_by_pairs`, if many measurements of an image are left out.
     """
-    for _ in range(ROUNDS):
+    for k in range(ROUNDS):
         before = found
         found = _robust_round(block, unknowns, terrain, found, first)
         if barred is not None:
-            kept = found.kept
-            found = found._replace(kept=Kept(kept.rows & ~barred, kept.control).whole(block))
+            may = ~barred if k < TAKEN_BACK else before.kept.rows & ~barred
+            found = found._replace(kept=Kept(found.kept.rows & may, found.kept.control).whole(block))
         if not found.is_by_pairs and _leaves_many_out(block, found.kept):
             return found._replace(is_by_pairs=True)
         is_settled = _same(before.kept, found.kept) and all(
@@ -111,16 +118,17 @@ def _settled(
 def without_unchecked(
     block: Block, unknowns: Unknowns, terrain: HeightObservations | None, found: Robust
 ) -> tuple[Robust, Final]:
-    """(the robust solution without points in two images that all else does not check, its least squares).
+    """(the robust solution without measurements that fail their test or are not checked by others, its least squares).
 
-    A wrong measurement of such a point fits wherever the ray of the other image leads, often at another height, and
-    turns the images so that it does: its own residual does not show it. Where many measurements are wrong, only those
-    are kept whose residual shows a large part of their error.
+    A wrong measurement of a point in two images fits wherever the ray of the other image leads, often at another
+    height, and turns the images so that it does: its own residual does not show it. Where many measurements are wrong,
+    points in two images are kept only if their residual shows a large part of their error, and all measurements are
+    tested by their residuals over the standard deviations of these.
     """
     first, barred = found.kept, np.zeros(len(block.observations), bool)
     while True:
         final = least_squares(block, unknowns, terrain, found)
-        new = _unchecked(block, final) & ~_of_control(block)
+        new = _failing(block, final, found.excess) & ~_of_control(block)
         if not np.any(new):
             return found, final
         barred |= new
@@ -133,13 +141,21 @@ def without_unchecked(
             return found, final
 
 
-def _unchecked(block: Block, final: Final) -> np.ndarray:
-    """Flags (k,) of kept measurements of points in two images whose redundancy is too low."""
+def _failing(block: Block, final: Final, excess: Excess) -> np.ndarray:
+    """Flags (k,) of kept measurements that fail their test, the worst of them and of each point only, and of points in
+    two images whose redundancy is too low."""
+    less_sure, more_sure = final.excess.less_sure(block), excess.less_sure(block)
+    ratio = np.mean(less_sure.observations.sigma / more_sure.observations.sigma, axis=1)[final.kept.rows]
+    tests = of_image_points(final.found)
+    statistic = tests.statistic * ratio
     own = reliability(final.found).redundancy.sum(axis=1)
     names, point = final.found.block.observations.point_numbers
     count, checked = np.bincount(point, minlength=len(names)), np.bincount(point, own, len(names))
+    worst = np.zeros(len(names))
+    np.maximum.at(worst, point, statistic)
+    fails = (statistic > max(limit(ALPHA), WORST * float(np.max(statistic)))) & (statistic >= 0.999 * worst[point])
     flags = np.zeros(len(block.observations), bool)
-    flags[final.kept.rows] = ((count == 2) & (checked < LEAST_CHECKED))[point]
+    flags[final.kept.rows] = fails | ((count == 2) & (checked < LEAST_CHECKED))[point]
     return flags
 
 
@@ -200,9 +216,7 @@ class Final(NamedTuple):
     full: Prepared
 
 
-def least_squares(
-    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, start: Robust
-) -> Final:
+def least_squares(block: Block, unknowns: Unknowns, terrain: HeightObservations | None, start: Robust) -> Final:
     """Least squares of what is kept, with the excess by its residuals. Raises as `jaxgeo.adjust.adjust`."""
     kept, values, excess = start[:3]
     is_mark, given = _of_control(block)[kept.rows], block.observations.sigma[kept.rows]
