@@ -9,13 +9,13 @@ import numpy as np
 
 GATE = 4.0  # standard deviations of the navigation: matches that lie further off are wrong
 OUTLIER = 4.0  # standard deviations of a measurement
-EXCESSES = (0.0, 0.25, 0.5, 1.0, 2.0)  # px: standard deviations tried in addition to those stated
+EXCESSES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)  # px: standard deviations tried in addition to those stated
 SAMPLES = (4, 5)  # matches of a hypothesis; the visible part of a relative pose has five unknowns
 HYPOTHESES = 300  # of each size
 FREEDOM = 5
 REFINED = 5  # of the best hypotheses
 ROUNDS = 4
-SETTLED = 2  # of the standard deviations tried: if all matches agree by no more, no hypotheses are needed
+SETTLED = 3  # of the standard deviations tried: if all matches agree by no more, no hypotheses are needed
 
 
 def agreement(off: np.ndarray, by_pose: np.ndarray, covariance: np.ndarray, px: np.ndarray) -> np.ndarray | None:
@@ -29,7 +29,7 @@ def agreement(off: np.ndarray, by_pose: np.ndarray, covariance: np.ndarray, px: 
     """
     values, vectors = np.linalg.eigh(covariance)
     A = by_pose @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    reach = GATE * np.sqrt(np.sum(A**2, axis=1) + 1.0 + (EXCESSES[2] * px) ** 2)
+    reach = GATE * np.sqrt(np.sum(A**2, axis=1) + 1.0 + (EXCESSES[SETTLED] * px) ** 2)
     gated = np.flatnonzero(np.abs(off) <= reach)
     if len(gated) <= FREEDOM:
         return None
@@ -79,7 +79,7 @@ class _Pair:
     def _hypotheses(self, size: int, rng: np.random.Generator) -> np.ndarray:
         """Errors (h, 12) that explain some of the matches each."""
         rows = np.argsort(rng.random((HYPOTHESES, len(self.off))), axis=1)[:, :size]
-        A, noise = self.A[rows], self.sigma[1][rows]
+        A, noise = self.A[rows], self.sigma[2][rows]
         normal = A @ np.swapaxes(A, 1, 2) + np.eye(size) * noise[:, :, None] ** 2
         return np.einsum("hkz,hk->hz", A, np.linalg.solve(normal, self.off[rows][:, :, None])[:, :, 0])
 
@@ -103,4 +103,4 @@ class _Pair:
     def _scores(self, z: np.ndarray, residual: np.ndarray, level: int) -> np.ndarray:
         """Log posterior densities of errors (*h, 12) by their residuals (*h, m) with one of the standard deviations."""
         gains = np.maximum(self.gain[level] - 0.5 * (residual / self.sigma[level]) ** 2, 0.0)
-        return np.sum(gains, axis=-1) - 0.5 * np.sum(z**2, axis=-1)
+        return np.asarray(np.sum(gains, axis=-1) - 0.5 * np.sum(z**2, axis=-1))
