@@ -58,7 +58,7 @@ def start_by_ties(
 
 def screened_from(block: Block, full: Prepared, values: Values, sigmas: float) -> tuple[Screen, Motion | None]:
     """Screening of a block with adjusted orientations and interiors, and the motion that aligns it with its control."""
-    return screened_again(_adjusted(block, full, values), sigmas)
+    return screened_again(adjusted_start(block, full, values), sigmas)
 
 
 def taken_back(block: Block, full: Prepared, values: Values, screened: Screen, sigmas: float) -> Screen:
@@ -82,11 +82,11 @@ def placed(block: Block, full: Prepared, values: Values, before: Kept, kept: Kep
     places[full.order.row_of_point[new]] = np.nan
     image = block.images.rows_of(observations.image)
     row, used = full.order.row_of_point[point], kept.rows & new[point]
-    places = started(_adjusted(block, full, values), places, row, image, used)
+    places = started(adjusted_start(block, full, values), places, row, image, used)
     return eqx.tree_at(lambda v: v.points, values, jnp.asarray(places))
 
 
-def _adjusted(block: Block, full: Prepared, values: Values) -> Block:
+def adjusted_start(block: Block, full: Prepared, values: Values) -> Block:
     """The block with adjusted orientations and interiors to start from."""
     centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
     images = Images(block.images.name, block.images.camera, centre, _nearest_rotations(R))

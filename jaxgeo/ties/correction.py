@@ -8,11 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
+from jaxgeo.adjust import Adjustment, Block, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
+from jaxgeo.adjust.kept import Kept
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.ties.block import Ties
-from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views, with_places
+from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
 from jaxgeo.ties.connections import largest_part, of_images, of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
@@ -20,7 +21,7 @@ from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma,
 from jaxgeo.ties.map_control import MapControl
 from jaxgeo.ties.relative import RelativeOrientation, relative_orientations
 from jaxgeo.ties.shared import OF_MODE, OF_SHOT
-from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_wrong_control
+from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_unchecked, without_wrong_control
 from jaxgeo.ties.views import Views
 
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
@@ -38,7 +39,9 @@ class Correction:
     residuals of the same measurements in px per axis: with the orientations of the navigation, and the adjusted ones.
     `moved` (n, 3) in m and `turned` (n, 3) in rad are the corrections: centre in the axes of the frame (east, north,
     up), rotation about the camera's axes; `sigmas` (n,) the largest of them in standard deviations of the navigation.
-    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these.
+    `left_out` measurements did not fit. `unconnected` names the images that no tie points join to these; among them,
+    `contradicted` those that tie points joined before the ones that contradict each other, or that nothing else checks,
+    were left out. `mostly_left_out` names the adjusted images that kept less than half of their measurements.
 
     With `control`, `control_residuals` has the residuals of control points and check points with their predicted
     standard deviations, and `blunders` the control points, and pixels of them, that did not fit; `excess_of_control` px
@@ -62,6 +65,8 @@ class Correction:
     excess_of_control: float = 0.0
     map_control: MapControl | None = None
     refused: dict[str, str] = field(default_factory=dict)
+    contradicted: list[str] = field(default_factory=list)
+    mostly_left_out: list[str] = field(default_factory=list)
 
     @property
     def names(self) -> list[str]:
@@ -127,8 +132,19 @@ class Correction:
         constant = [name for name in self.hidden if OF_MODE not in name and OF_SHOT not in name]
         if constant:
             lines.append(f"Of the errors that images share, these stay as they were: {_some(constant, 12)}.")
-        if self.unconnected:
-            lines.append(f"Not adjusted, for no tie points join them to the others: {_some(self.unconnected)}.")
+        untied = [name for name in self.unconnected if name not in self.contradicted]
+        if untied:
+            lines.append(f"Not adjusted, for no tie points join them to the others: {_some(untied)}.")
+        if self.contradicted:
+            lines.append(
+                f"Not adjusted, for too few of their measurements agree with those of other images and are checked by "
+                f"them: {_some(self.contradicted)}."
+            )
+        if self.mostly_left_out:
+            lines.append(
+                f"More than half of their measurements contradict the others and are left out; check these images: "
+                f"{_some(self.mostly_left_out)}."
+            )
         lines += [f"The map does not count in {name}: {reason}" for name, reason in self.refused.items()]
         if self.doubtful:
             and_control = ", and coordinate system and vertical datum of the control" if self.has_control else ""
@@ -207,32 +223,45 @@ def correct(
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
     observations = of_places(views, observations, ground)
+    joined, is_by_pairs = largest_part(views, observations, ground), False
     while True:
         part = largest_part(views, observations, ground)
         if len(part) < 2:
             raise ValueError(
-                "no two images share enough tie points to be adjusted; check the navigation and its errors."
+                "no two images share enough tie points that agree to be adjusted; check the navigation and its errors."
+                if len(joined) > 1
+                else "no two images share enough tie points to be adjusted; check the navigation and its errors."
             )
         block = block_of_views(views, of_images(views, observations, part, ground), ground)
-        kept, values, excess = robust_solution(block, unknowns, terrain)
-        kept = with_places(block, kept)
-        left = block.observations.of(kept.rows)
-        if set(largest_part(views, left, ground)) >= {str(name) for name in block.images.name}:
+        found, final = robust_solution(block, unknowns, terrain, views, is_by_pairs), None
+        if _ties_all(views, block, found.kept, ground) and found.is_by_pairs:
+            found, final = without_unchecked(block, unknowns, terrain, found)
+        if _ties_all(views, block, found.kept, ground):
             break
-        observations = left  # an image has lost its ties
-    final = least_squares(block, unknowns, terrain, kept, values, excess)
+        left, is_by_pairs = block.observations.of(found.kept.rows), found.is_by_pairs  # an image has lost its ties
+        if is_by_pairs:
+            left = of_images(views, block.observations, largest_part(views, left, ground), ground)
+        observations = left
+    final = least_squares(block, unknowns, terrain, found) if final is None else final
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
         if control is not None and final.kept.control.size:
             check_fit(views, control, final.excess.control, final.excess.ties)
+    of_ties = _correction(views, final, given, control, blunders)
+    of_ties = replace(
+        of_ties,
+        contradicted=[name for name in joined if name not in of_ties.names],
+        mostly_left_out=_mostly_left_out(block, final.kept),
+    )
     if map_control is None:
-        return _correction(views, final, given, control, blunders)
+        return of_ties
     chosen = with_control(final.found, Tied(block, unknowns, terrain, final.kept, final.excess), map_control)
     if chosen.adjustment is None:
-        return replace(_correction(views, final, given, control, blunders), refused=chosen.refused)
+        return replace(of_ties, refused=chosen.refused)
     result = _correction(views, final._replace(found=chosen.adjustment), given, control, blunders)
-    return replace(result, map_control=chosen.control, refused=chosen.refused)
+    named = {"contradicted": of_ties.contradicted, "mostly_left_out": of_ties.mostly_left_out}
+    return replace(result, map_control=chosen.control, refused=chosen.refused, **named)
 
 
 def _check_map_control(views: Views) -> None:
@@ -259,6 +288,19 @@ def _with_control(
     if not len(ground):
         return observations, None
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
+
+
+def _ties_all(views: Views, block: Block, kept: Kept, ground: GroundPoints | None) -> bool:
+    """Whether what is kept of a block still joins all its images."""
+    left = block.observations.of(kept.rows)
+    return set(largest_part(views, left, ground)) >= {str(name) for name in block.images.name}
+
+
+def _mostly_left_out(block: Block, kept: Kept) -> list[str]:
+    """Names of images of which more than half of the measurements are left out."""
+    names, _ = block.observations.image_numbers
+    few = kept.of_images(block) < 0.5 * Kept.all(block).of_images(block)
+    return [str(name) for name in names[few]]
 
 
 def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
@@ -298,6 +340,7 @@ def rms_of_rays(views: Views, observations: ImagePoints) -> float:
 
 
 def _some(names: list[str], most: int = 10) -> str:
+    """The first names of a list, as text."""
     return ", ".join(names[:most]) + (" ..." if len(names) > most else "")
 
 

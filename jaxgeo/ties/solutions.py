@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.adjust import Adjustment, Block, Blunder, HeightObservations, LeastSquares, Unknowns
+from jaxgeo.adjust._reliability import reliability
 from jaxgeo.adjust.bundle import adjusted
 from jaxgeo.adjust.equations import known_points
+from jaxgeo.adjust.hypotheses import limit, of_image_points
 from jaxgeo.adjust.kept import Kept, block_of, control_of, masked, set_aside
 from jaxgeo.adjust.measurements import image_residuals, in_view
 from jaxgeo.adjust.problem import Prepared, prepared
@@ -18,9 +20,11 @@ from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
 from jaxgeo.ties.block_of_views import free_poses, with_places
+from jaxgeo.ties.consensus import agreeing, with_points_again
 from jaxgeo.ties.control_tests import failing, fitting, named_blunders
 from jaxgeo.ties.excess import by_median, excess_of, of_few
 from jaxgeo.ties.robust import WIDEST, WIDTH, ScaledCauchy
+from jaxgeo.ties.views import Views
 
 OUTLIER = 4.0  # standard deviations: larger residuals are left out
 # px: added to the standard deviations of image points in the first robust solution, which starts from the navigation,
@@ -28,6 +32,11 @@ OUTLIER = 4.0  # standard deviations: larger residuals are left out
 FIRST_EXCESS = 1.0
 ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
 ROUNDS = 10
+TAKEN_BACK = 3  # rounds in which measurements that were left out are taken back, once others are barred
+ALPHA = 1e-3  # of each test of a right measurement, where many are wrong
+WORST = 0.7  # of the largest statistic: smaller ones may be its consequences
+LEAST_CHECKED = 0.2  # redundancy of a point in two images: with less, its residual shows too little of its error
+MANY = 0.1  # of the measurements of an image: if more are left out, the solution may have followed wrong ones
 
 
 class Excess(NamedTuple):
@@ -43,40 +52,145 @@ class Excess(NamedTuple):
         return replace(block, observations=replace(observed, sigma=np.hypot(observed.sigma, added[:, None])))
 
 
+def _with_places(block: Block, rows: np.ndarray, control: np.ndarray) -> Kept:
+    """The flags without points that a single image, or a single shot, still shows and that are not control."""
+    return with_places(block, Kept(rows, control).whole(block))
+
+
 def _of_control(block: Block) -> np.ndarray:
     """Flags (k,) of the pixels of control points."""
     return np.isin(block.observations.point, control_of(block).name)
 
 
+class Robust(NamedTuple):
+    """The measurements that fit a robust solution, its values, and the standard deviations in px to add to theirs;
+    whether it started from what agrees pair by pair (`is_by_pairs`), as many measurements did not fit."""
+
+    kept: Kept
+    values: Values | None
+    excess: Excess
+    is_by_pairs: bool = False
+
+
 def robust_solution(
-    block: Block, unknowns: Unknowns, terrain: HeightObservations | None
-) -> tuple[Kept, Values, Excess]:
-    """(the measurements that fit, the robust solution, the standard deviations in px to add to theirs)."""
-    first = kept = screened_of(block, unknowns, SIGMAS).kept
-    values, excess, is_mark = None, Excess(FIRST_EXCESS, FIRST_EXCESS), _of_control(block)
-    for _ in range(ROUNDS):
-        less_sure = excess.less_sure(block)
-        full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
-        solution = solve(masked(less_sure, full, kept).problem, ScaledCauchy(jnp.asarray(WIDTH)), start=values)
-        values = solution.values
-        residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
-        largest, sigma = _largest(residuals, block.observations.sigma)
-        last, ties, marks = excess, kept.rows & ~is_mark, kept.rows & is_mark
-        of_ties = by_median(largest[ties], sigma[ties]) if np.any(ties) else 0.0
-        excess = Excess(of_ties, max(of_ties, of_few(largest[marks], sigma[marks])))
-        fits = largest <= OUTLIER * np.hypot(sigma, np.where(is_mark, excess.control, excess.ties))
-        before, fits = kept, fits & _in_view(full, values)
-        known = before.control & _control_fits(block, full, values, fits)
-        kept = Kept(fits, known).whole(block)
-        is_settled = (
-            np.array_equal(before.rows, kept.rows)
-            and np.array_equal(before.control, kept.control)
-            and all(abs(x - y) <= ENOUGH * max(y, ENOUGH) for x, y in zip(excess, last, strict=True))
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, views: Views, is_by_pairs: bool = False
+) -> Robust:
+    """The robust solution of a block, from the navigation.
+
+    If many measurements of an image do not fit, the solution may follow wrong ones: it then starts anew, or at once if
+    it `is_by_pairs`, from those that agree pair by pair within the covariance of the navigation (`agreeing`), and takes
+    back what fits it.
+    """
+    first = screened_of(block, unknowns, SIGMAS).kept
+    start = Robust(first, None, Excess(FIRST_EXCESS, FIRST_EXCESS))
+    if not is_by_pairs:
+        found = _settled(block, unknowns, terrain, start, first)
+        if not found.is_by_pairs:
+            return found
+    rows = np.where(_of_control(block), first.rows, agreeing(block, views))
+    kept = _with_places(block, rows, first.control)
+    by_pairs = start._replace(kept=kept, is_by_pairs=True)
+    return _settled(block, unknowns, terrain, by_pairs, kept) if kept.leaves_every_image(block) else by_pairs
+
+
+def _settled(
+    block: Block,
+    unknowns: Unknowns,
+    terrain: HeightObservations | None,
+    found: Robust,
+    first: Kept,
+    barred: np.ndarray | None = None,
+) -> Robust:
+    """The robust solution after some rounds, without `barred` (k,) measurements.
+
+    It ends early, with `is_by_pairs`, if many measurements of an image are left out.
+    """
+    for k in range(ROUNDS):
+        before = found
+        found = _robust_round(block, unknowns, terrain, found, first)
+        if barred is not None:
+            may = ~barred if k < TAKEN_BACK else before.kept.rows & ~barred
+            found = found._replace(kept=_with_places(block, found.kept.rows & may, found.kept.control))
+        if not found.is_by_pairs and _leaves_many_out(block, found.kept):
+            return found._replace(is_by_pairs=True)
+        is_settled = _same(before.kept, found.kept) and all(
+            abs(x - y) <= ENOUGH * max(y, ENOUGH) for x, y in zip(found.excess, before.excess, strict=True)
         )
-        if is_settled or not kept.leaves_every_image(block):
+        if is_settled or not found.kept.leaves_every_image(block):
             break
-    assert values is not None
-    return kept, values, excess
+    return found
+
+
+def without_unchecked(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, found: Robust
+) -> tuple[Robust, Final]:
+    """(the robust solution without measurements that fail their test or are not checked by others, its least squares).
+
+    A wrong measurement of a point in two images fits wherever the ray of the other image leads, often at another
+    height, and turns the images so that it does: its own residual does not show it. Where many measurements are wrong,
+    points in two images are kept only if their residual shows a large part of their error, and all measurements are
+    tested by their residuals over the standard deviations of these.
+    """
+    first, barred = found.kept, np.zeros(len(block.observations), bool)
+    while True:
+        final = least_squares(block, unknowns, terrain, found)
+        new = _failing(block, final, found.excess) & ~_of_control(block)
+        if not np.any(new):
+            return found, final
+        barred |= new
+        kept = _with_places(block, found.kept.rows & ~barred, found.kept.control)
+        found = found._replace(kept=kept)
+        if not kept.leaves_every_image(block):
+            return found, final
+        found = _settled(block, unknowns, terrain, found, first, barred)
+        if not found.kept.leaves_every_image(block):
+            return found, final
+
+
+def _failing(block: Block, final: Final, excess: Excess) -> np.ndarray:
+    """Flags (k,) of kept measurements that fail their test, the worst of them and of each point only, and of points in
+    two images whose redundancy is too low."""
+    less_sure, more_sure = final.excess.less_sure(block), excess.less_sure(block)
+    ratio = np.mean(less_sure.observations.sigma / more_sure.observations.sigma, axis=1)[final.kept.rows]
+    tests = of_image_points(final.found)
+    statistic = tests.statistic * ratio
+    own = reliability(final.found).redundancy.sum(axis=1)
+    names, point = final.found.block.observations.point_numbers
+    count, checked = np.bincount(point, minlength=len(names)), np.bincount(point, own, len(names))
+    worst = np.zeros(len(names))
+    np.maximum.at(worst, point, statistic)
+    fails = (statistic > max(limit(ALPHA), WORST * float(np.max(statistic)))) & (statistic >= 0.999 * worst[point])
+    flags = np.zeros(len(block.observations), bool)
+    flags[final.kept.rows] = fails | ((count == 2) & (checked < LEAST_CHECKED))[point]
+    return flags
+
+
+def _robust_round(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, found: Robust, first: Kept
+) -> Robust:
+    """The robust solution of what was kept before, what fits it, and the standard deviations to add by its residuals.
+
+    Points without a start begin where the rays of what was kept at `first` meet."""
+    before, is_mark = found.kept, _of_control(block)
+    less_sure = found.excess.less_sure(block)
+    full = prepared(less_sure, unknowns, terrain, set_aside(less_sure, first))
+    solution = solve(masked(less_sure, full, before).problem, ScaledCauchy(jnp.asarray(WIDTH)), start=found.values)
+    values = with_points_again(less_sure, full, solution.values, before)
+    residuals = np.asarray(image_residuals(full.problem, values)).T[full.order.place] * less_sure.observations.sigma
+    largest, sigma = _largest(residuals, block.observations.sigma)
+    ties, marks = before.rows & ~is_mark, before.rows & is_mark
+    of_ties = by_median(largest[ties], sigma[ties]) if np.any(ties) else 0.0
+    excess = Excess(of_ties, max(of_ties, of_few(largest[marks], sigma[marks])))
+    fits = largest <= OUTLIER * np.hypot(sigma, np.where(is_mark, excess.control, excess.ties))
+    fits &= _in_view(full, values)
+    known = before.control & _control_fits(block, full, values, fits)
+    return Robust(_with_places(block, fits, known), values, excess, found.is_by_pairs)
+
+
+def _leaves_many_out(block: Block, kept: Kept) -> bool:
+    """Whether many of the measurements of an image, and more than one, are not kept."""
+    count, left = Kept.all(block).of_images(block), kept.of_images(block)
+    return bool(np.any(count - left > np.maximum(MANY * count, 1.0)))
 
 
 def _control_fits(block: Block, full: Prepared, values: Values, fits: np.ndarray) -> np.ndarray:
@@ -108,15 +222,9 @@ class Final(NamedTuple):
     full: Prepared
 
 
-def least_squares(
-    block: Block,
-    unknowns: Unknowns,
-    terrain: HeightObservations | None,
-    kept: Kept,
-    values: Values,
-    excess: Excess,
-) -> Final:
-    """Least squares of what is kept, with `excess` by its residuals. Raises as `jaxgeo.adjust.adjust`."""
+def least_squares(block: Block, unknowns: Unknowns, terrain: HeightObservations | None, start: Robust) -> Final:
+    """Least squares of what is kept, with the excess by its residuals. Raises as `jaxgeo.adjust.adjust`."""
+    kept, values, excess = start[:3]
     is_mark, given = _of_control(block)[kept.rows], block.observations.sigma[kept.rows]
     for last in (False, False, True):
         less_sure = excess.less_sure(block)
@@ -158,7 +266,7 @@ def without_wrong_control(
         if any(_same(kept, one) for one in (final.kept, *tried)):
             break
         tried.append(final.kept)
-        final = least_squares(block, unknowns, terrain, kept, final.found.solution.values, final.excess)
+        final = least_squares(block, unknowns, terrain, Robust(kept, final.found.solution.values, final.excess))
     blunders = named_blunders(final.found, final.excess.less_sure(block), final.full, final.kept)
     total, left = len(final.kept.control), int(np.sum(final.kept.control))
     if total > 1 and left < 0.5 * total:
