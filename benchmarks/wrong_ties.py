@@ -62,7 +62,9 @@ def outcome(count: int, overlap: float, kind: str, share: float, seed: int) -> d
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Counts over the seeds of a case."""
     done = [row for row in rows if "refused" not in row]
-    sums = {key: sum(row[key] for row in done) for key in ("images", "images_beyond", "unconnected", "wrong_kept", "wrong")}
+    sums = {
+        key: sum(row[key] for row in done) for key in ("images", "images_beyond", "unconnected", "wrong_kept", "wrong")
+    }
     return {
         "seeds": len(rows),
         "seeds_beyond": [row["seed"] for row in done if row["beyond"]],

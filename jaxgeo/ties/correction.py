@@ -8,24 +8,21 @@ from functools import cached_property
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo.adjust import Adjustment, Block, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
-from jaxgeo.adjust.initial_points import of_parallel_rays
-from jaxgeo.adjust.kept import Kept
+from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.ties.block import Ties
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
+from jaxgeo.ties.joined import mostly_left_out, of_places, solved
 from jaxgeo.ties.map_control import MapControl
-from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_unchecked, without_wrong_control
-from jaxgeo.ties.tracks import connected
+from jaxgeo.ties.solutions import Final, without_wrong_control
 from jaxgeo.ties.views import Views
 
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
 FAR = 4.0  # standard deviations of the navigation, beyond which a correction is doubted
 MUCH = 3.0  # standard deviations of the pixels of control: what their residuals add to these, if it is doubted
-GROUND = "\n"  # name of an image that shows all control points: none of a file has it
 
 
 @dataclass(frozen=True)
@@ -211,27 +208,8 @@ def correct(
         )
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
-    observations = _of_places(views, observations, ground)
-    joined, is_by_pairs = _largest_part(views, observations, ground), False
-    while True:
-        part = _largest_part(views, observations, ground)
-        if len(part) < 2:
-            raise ValueError(
-                "no two images share enough tie points that agree to be adjusted; check the navigation and its errors."
-                if len(joined) > 1
-                else "no two images share enough tie points to be adjusted; check the navigation and its errors."
-            )
-        block = block_of_views(views, _of_images(observations, part, ground), ground)
-        found, final = robust_solution(block, unknowns, terrain, views, is_by_pairs), None
-        if _ties_all(views, block, found.kept, ground) and found.is_by_pairs:
-            found, final = without_unchecked(block, unknowns, terrain, found)
-        if _ties_all(views, block, found.kept, ground):
-            break
-        left, is_by_pairs = block.observations.of(found.kept.rows), found.is_by_pairs  # an image has lost its ties
-        if is_by_pairs:
-            left = _of_images(block.observations, _largest_part(views, left, ground), ground)
-        observations = left
-    final = least_squares(block, unknowns, terrain, found) if final is None else final
+    observations = of_places(views, observations, ground)
+    block, final, joined = solved(views, observations, unknowns, terrain, ground)
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
@@ -241,7 +219,7 @@ def correct(
     of_ties = replace(
         of_ties,
         contradicted=[name for name in joined if name not in of_ties.names],
-        mostly_left_out=_mostly_left_out(block, final.kept),
+        mostly_left_out=mostly_left_out(block, final.kept),
     )
     if map_control is None:
         return of_ties
@@ -267,48 +245,6 @@ def _with_control(
     if not len(ground):
         return observations, None
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
-
-
-def _largest_part(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> list[str]:
-    """Names of the images of the largest connected part; images with three control points are connected."""
-    if ground is None:
-        return connected(views.name, observations)[0]
-    all_control = np.unique(observations.point[np.isin(observations.point, ground.name)])
-    of_ground = ImagePoints(np.full(len(all_control), GROUND), all_control, np.zeros((len(all_control), 2)))
-    parts = connected(np.append(views.name, GROUND), ImagePoints.joined([observations, of_ground]))
-    return max(([name for name in part if name != GROUND] for part in parts), key=len)
-
-
-def _ties_all(views: Views, block: Block, kept: Kept, ground: GroundPoints | None) -> bool:
-    """Whether what is kept of a block still joins all its images."""
-    left = block.observations.of(kept.rows)
-    return set(_largest_part(views, left, ground)) >= {str(name) for name in block.images.name}
-
-
-def _mostly_left_out(block: Block, kept: Kept) -> list[str]:
-    """Names of images of which more than half of the measurements are left out."""
-    names, _ = block.observations.image_numbers
-    few = kept.of_images(block) < 0.5 * Kept.all(block).of_images(block)
-    return [str(name) for name in names[few]]
-
-
-def _of_places(views: Views, observations: ImagePoints, ground: GroundPoints | None) -> ImagePoints:
-    """The measurements of points that are control, or whose rays are not parallel. Raises `ValueError` if there are
-    none."""
-    parallel = of_parallel_rays(block_of_views(views, observations, ground))
-    if ground is not None:
-        parallel &= ~np.isin(observations.point, ground.name)
-    if np.all(parallel):
-        raise ValueError(
-            "the rays of all tie points are parallel, so that these have no place; are the images of one position, or "
-            "one image under several names?"
-        )
-    return observations.of(~parallel) if np.any(parallel) else observations
-
-
-def _of_images(observations: ImagePoints, names: list[str], ground: GroundPoints | None) -> ImagePoints:
-    known = () if ground is None else ground.name.tolist()
-    return observations.of(np.isin(observations.image, names)).seen_often(known=known)
 
 
 def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
