@@ -8,20 +8,20 @@ from functools import cached_property
 import numpy as np
 
 from jaxgeo._checks import check_is
-from jaxgeo.adjust import Adjustment, Block, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
-from jaxgeo.adjust.kept import Kept
+from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.ties.block import Ties
 from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
-from jaxgeo.ties.connections import largest_part, of_images, of_places
+from jaxgeo.ties.connections import of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
+from jaxgeo.ties.joined import mostly_left_out, solved
 from jaxgeo.ties.map_control import MapControl
 from jaxgeo.ties.relative import RelativeOrientation, relative_orientations
 from jaxgeo.ties.shared import OF_MODE, OF_SHOT
-from jaxgeo.ties.solutions import Final, least_squares, robust_solution, without_unchecked, without_wrong_control
+from jaxgeo.ties.solutions import Final, without_wrong_control
 from jaxgeo.ties.views import Views
 
 HIDDEN = 0.9  # standard deviations of a shared error that are left of one, if images do not show it
@@ -223,26 +223,7 @@ def correct(
     unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
     observations = of_places(views, observations, ground)
-    joined, is_by_pairs = largest_part(views, observations, ground), False
-    while True:
-        part = largest_part(views, observations, ground)
-        if len(part) < 2:
-            raise ValueError(
-                "no two images share enough tie points that agree to be adjusted; check the navigation and its errors."
-                if len(joined) > 1
-                else "no two images share enough tie points to be adjusted; check the navigation and its errors."
-            )
-        block = block_of_views(views, of_images(views, observations, part, ground), ground)
-        found, final = robust_solution(block, unknowns, terrain, views, is_by_pairs), None
-        if _ties_all(views, block, found.kept, ground) and found.is_by_pairs:
-            found, final = without_unchecked(block, unknowns, terrain, found)
-        if _ties_all(views, block, found.kept, ground):
-            break
-        left, is_by_pairs = block.observations.of(found.kept.rows), found.is_by_pairs  # an image has lost its ties
-        if is_by_pairs:
-            left = of_images(views, block.observations, largest_part(views, left, ground), ground)
-        observations = left
-    final = least_squares(block, unknowns, terrain, found) if final is None else final
+    block, final, joined = solved(views, observations, unknowns, terrain, ground)
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
@@ -252,7 +233,7 @@ def correct(
     of_ties = replace(
         of_ties,
         contradicted=[name for name in joined if name not in of_ties.names],
-        mostly_left_out=_mostly_left_out(block, final.kept),
+        mostly_left_out=mostly_left_out(block, final.kept),
     )
     if map_control is None:
         return of_ties
@@ -288,19 +269,6 @@ def _with_control(
     if not len(ground):
         return observations, None
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
-
-
-def _ties_all(views: Views, block: Block, kept: Kept, ground: GroundPoints | None) -> bool:
-    """Whether what is kept of a block still joins all its images."""
-    left = block.observations.of(kept.rows)
-    return set(largest_part(views, left, ground)) >= {str(name) for name in block.images.name}
-
-
-def _mostly_left_out(block: Block, kept: Kept) -> list[str]:
-    """Names of images of which more than half of the measurements are left out."""
-    names, _ = block.observations.image_numbers
-    few = kept.of_images(block) < 0.5 * Kept.all(block).of_images(block)
-    return [str(name) for name in names[few]]
 
 
 def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:

@@ -148,8 +148,8 @@ def without_unchecked(
 
 
 def _failing(block: Block, final: Final, excess: Excess) -> np.ndarray:
-    """Flags (k,) of kept measurements that fail their test, the worst of them and of each point only, and of points in
-    two images whose redundancy is too low."""
+    """Flags (k,) of kept measurements that fail their test, the worst of them and of each point only, and of the point
+    in two images whose redundancy is the lowest, if it is too low."""
     less_sure, more_sure = final.excess.less_sure(block), excess.less_sure(block)
     ratio = np.mean(less_sure.observations.sigma / more_sure.observations.sigma, axis=1)[final.kept.rows]
     tests = of_image_points(final.found)
@@ -161,7 +161,9 @@ def _failing(block: Block, final: Final, excess: Excess) -> np.ndarray:
     np.maximum.at(worst, point, statistic)
     fails = (statistic > max(limit(ALPHA), WORST * float(np.max(statistic)))) & (statistic >= 0.999 * worst[point])
     flags = np.zeros(len(block.observations), bool)
-    flags[final.kept.rows] = fails | ((count == 2) & (checked < LEAST_CHECKED))[point]
+    checked = np.where(count == 2, checked, np.inf)
+    unchecked = (checked < LEAST_CHECKED) & (checked == np.min(checked))  # one by one: points check each other
+    flags[final.kept.rows] = fails | unchecked[point]
     return flags
 
 
