@@ -85,7 +85,7 @@ def test_orientations_to_start_from_make_rays_coplanar() -> None:
 
 def couples_of(observed: ImagePoints, kept: np.ndarray) -> list[tuple[int, int]]:
     """Rows of pairs of kept measurements of one point."""
-    rows = np.flatnonzero(kept)
+    rows = np.flatnonzero(kept).tolist()
     return [(i, j) for i in rows for j in rows if i < j and observed.point[i] == observed.point[j]]
 
 
