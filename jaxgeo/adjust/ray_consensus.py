@@ -207,7 +207,7 @@ class Rays:
         enough = np.bincount(self.image, weights=usable, minlength=len(free)) >= 4
         step = np.where((free & enough)[:, None], step, 0.0)
         self.centre = self.centre + step[:, :3]
-        self.R = _turns(step[:, 3:]) @ self.R
+        self.R = turns(step[:, 3:]) @ self.R
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def _skew(v: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
-def _turns(vector: np.ndarray) -> np.ndarray:
+def turns(vector: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) from rotation vectors, rad."""
     import scipy  # submodules load lazily
 

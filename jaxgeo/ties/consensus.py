@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +11,17 @@ import numpy as np
 from jaxgeo.adjust import Block
 from jaxgeo.adjust.kept import Kept, control_of
 from jaxgeo.adjust.problem import Prepared
-from jaxgeo.adjust.ray_consensus import Rays
+from jaxgeo.adjust.ray_consensus import Rays, turns
 from jaxgeo.adjust.tie_start import adjusted_start
 from jaxgeo.adjust.values import Values
+from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION
 from jaxgeo.ties.epipolar import coplanarity
 from jaxgeo.ties.pair_consensus import agreement
 from jaxgeo.ties.views import Views
+
+LARGEST = 300  # images of a block whose orientations are improved together before its adjustment
+STEPS = 3
+WIDTH = 3.0  # px: of the weights
 
 
 def agreeing(block: Block, views: Views) -> np.ndarray:
@@ -27,8 +34,7 @@ def agreeing(block: Block, views: Views) -> np.ndarray:
     rays = Rays.of(block)
     index = {str(name): row for row, name in enumerate(views.name)}
     row_of = np.array([index[str(name)] for name in block.images.name])
-    focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
-    of_image = np.array([focal[str(name)] for name in block.images.camera])
+    px = _pixels_of_sigma(block, rays)
     first, second = _couples(rays)
     both = rays.image[first] * len(block.images) + rays.image[second]
     order = np.argsort(both, kind="stable")
@@ -38,12 +44,63 @@ def agreeing(block: Block, views: Views) -> np.ndarray:
             continue
         found = coplanarity(rays, first[part], second[part])
         i, j = rays.image[first[part[0]]], rays.image[second[part[0]]]
-        px = 1.0 / (found.sigma * np.sqrt(of_image[i] * of_image[j]))
         covariance = views.covariance_of_pair(int(row_of[i]), int(row_of[j]))
-        result = agreement(found.off, found.by_pose, covariance, px)
+        result = agreement(found.off, found.by_pose, covariance, np.sqrt(px[first[part]] * px[second[part]]))
         if result is not None:
             vote[part] = np.where(result, 1, -1)
     return _by_votes(len(rays.image), rays.point, first, second, vote)
+
+
+def by_coplanarity(block: Block, views: Views, kept: np.ndarray) -> Block:
+    """The block with orientations to start from that make the rays of what is kept coplanar, pair by pair.
+
+    The navigation's errors are those of least squares with their covariance as prior (Gauss-Newton, Cauchy weights).
+    Points whose rays part by the navigation, which start behind the cameras, then start before them. Blocks of more
+    than `LARGEST` images are left as they are.
+    """
+    count = len(block.images)
+    if count > LARGEST:
+        return block
+    rays = Rays.of(block)
+    first, second = _couples(rays)
+    both = kept[first] & kept[second]
+    first, second = first[both], second[both]
+    if not len(first):
+        return block
+    index = {str(name): row for row, name in enumerate(views.name)}
+    rows = np.array([index[str(name)] for name in block.images.name])
+    prior = np.linalg.inv(_covariance(views, rows))
+    centre, R, error = rays.centre, rays.R, np.zeros(6 * count)
+    px = _pixels_of_sigma(block, rays)[first]
+    for _ in range(STEPS):
+        found = coplanarity(rays, first, second)
+        weight = 1.0 / (1.0 + px**2 + (found.off / WIDTH) ** 2)
+        J = np.zeros((len(first), count, 6))
+        at = np.arange(len(first))
+        J[at, rays.image[first]], J[at, rays.image[second]] = found.by_pose[:, :6], found.by_pose[:, 6:]
+        J = J.reshape(len(first), -1)
+        right = J.T @ (weight * (J @ error - found.off))
+        error = np.linalg.solve(prior + (J.T * weight) @ J, right)
+        moves = error.reshape(count, 6)
+        rays.centre, rays.R = centre + moves[:, :3], R @ turns(moves[:, 3:])
+    return replace(block, images=replace(block.images, centre=rays.centre, R_frame_from_camera=rays.R))
+
+
+def _covariance(views: Views, rows: np.ndarray) -> np.ndarray:
+    """Covariance (6 n, 6 n) of the navigation errors of some images, with the least standard deviations."""
+    common = np.zeros((6 * len(rows), 6 * len(rows)))
+    for one in views.common.values():
+        common += np.outer(one[rows], one[rows])
+    least = np.diag(np.repeat([LEAST_POSITION, LEAST_ATTITUDE], 3) ** 2)
+    for k, row in enumerate(rows):
+        common[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += views.own[row] + least
+    return common
+
+
+def _pixels_of_sigma(block: Block, rays: Rays) -> np.ndarray:
+    """Number (k,) of standard deviations of the directions in a pixel."""
+    focal = {name: float(np.mean(np.asarray(camera.focal_px))) for name, camera in block.cameras.items()}
+    return 1.0 / (rays.sigma * np.array([focal[str(name)] for name in block.images.camera])[rays.image])
 
 
 def with_points_again(block: Block, full: Prepared, values: Values, kept: Kept) -> Values:

@@ -13,12 +13,11 @@ LEAST_BASE = 1e-9  # of the triple product of unit rays and base: below it, rays
 
 class Coplanarity(NamedTuple):
     """Distances of the rays of common points from one plane with the base of two images, in standard deviations of the
-    measurements (m,), their derivatives (m, 12) by the errors of both poses (centre in m in the frame's axes, rotation
-    in rad about the camera's axes), and the standard deviation of a direction (m,), rad."""
+    measurements (m,), and their derivatives (m, 12) by the errors of both poses (centre in m in the frame's axes,
+    rotation in rad about the camera's axes)."""
 
     off: np.ndarray
     by_pose: np.ndarray
-    sigma: np.ndarray
 
 
 def coplanarity(rays: Rays, first: np.ndarray, second: np.ndarray) -> Coplanarity:
@@ -38,8 +37,7 @@ def coplanarity(rays: Rays, first: np.ndarray, second: np.ndarray) -> Coplanarit
     by_base = np.cross(a, b) / scale
     turns = [_by_turn(rays, rows, by) for rows, by in ((first, by_first), (second, by_second))]
     by_pose = np.concatenate([-by_base, turns[0], by_base, turns[1]], axis=1)
-    sigma = np.sqrt(0.5 * (rays.sigma[first] ** 2 + rays.sigma[second] ** 2))
-    return Coplanarity(np.sum(by_first * a, axis=1) / noise, by_pose / noise[:, None], sigma)
+    return Coplanarity(np.sum(by_first * a, axis=1) / noise, by_pose / noise[:, None])
 
 
 def _across(vector: np.ndarray, unit: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import solve
 from jaxgeo.adjust.values import Values
 from jaxgeo.ties.block_of_views import free_poses, with_places
-from jaxgeo.ties.consensus import agreeing, with_points_again
+from jaxgeo.ties.consensus import agreeing, by_coplanarity, with_points_again
 from jaxgeo.ties.control_tests import failing, fitting, named_blunders
 from jaxgeo.ties.excess import by_median, excess_of, of_few
 from jaxgeo.ties.robust import WIDEST, WIDTH, ScaledCauchy
@@ -90,7 +90,9 @@ def robust_solution(
     rows = np.where(_of_control(block), first.rows, agreeing(block, views))
     kept = _with_places(block, rows, first.control)
     by_pairs = start._replace(kept=kept, is_by_pairs=True)
-    return _settled(block, unknowns, terrain, by_pairs, kept) if kept.leaves_every_image(block) else by_pairs
+    if not kept.leaves_every_image(block):
+        return by_pairs
+    return _settled(by_coplanarity(block, views, kept.rows), unknowns, terrain, by_pairs, kept)
 
 
 def _settled(

@@ -14,7 +14,7 @@ from jaxgeo.adjust import ImagePoints
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.ties import Views, correct
 from jaxgeo.ties.block_of_views import block_of_views
-from jaxgeo.ties.consensus import agreeing
+from jaxgeo.ties.consensus import agreeing, by_coplanarity
 from jaxgeo.ties.epipolar import coplanarity
 from jaxgeo.ties.pair_consensus import agreement
 
@@ -70,6 +70,23 @@ def test_few_matches_and_those_far_off_agree_on_nothing() -> None:
     few, far = np.zeros(5), np.full(20, 1e4)
     for off in (few, far):
         assert agreement(off, np.ones((len(off), 12)), np.eye(12), np.full(len(off), 10.0)) is None
+
+
+def test_orientations_to_start_from_make_rays_coplanar() -> None:
+    here = simulated(4, 0.7, "anywhere", 0.3, 0)
+    block = block_of_views(here.given, here.observations)
+    kept = ~here.wrong
+    started = by_coplanarity(block, here.given, kept)
+    first, second = (np.array(rows) for rows in zip(*couples_of(here.observations, kept), strict=True))
+    before, after = (coplanarity(Rays.of(one), first, second).off for one in (block, started))
+    assert np.sqrt(np.mean(before**2)) > 5.0
+    assert np.sqrt(np.mean(after**2)) < 0.25 * np.sqrt(np.mean(before**2))
+
+
+def couples_of(observed: ImagePoints, kept: np.ndarray) -> list[tuple[int, int]]:
+    """Rows of pairs of kept measurements of one point."""
+    rows = np.flatnonzero(kept).tolist()
+    return [(i, j) for i in rows for j in rows if i < j and observed.point[i] == observed.point[j]]
 
 
 def test_measurements_agree_by_most_of_their_pairs() -> None:
