@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from jaxgeo.adjust.navigation import Navigation
 
 NEEDED = (
-    "give Navigation(velocity=, turn_rate=), or Block.from_shots(velocity=, turn_rate=), a trajectory=, or strips "
-    "whose images have different times"
+    "give Navigation(velocity=, turn_rate=), Block.from_shots(velocity=, turn_rate=), a trajectory=, or strips "
+    "whose images have different times; with Views, Views.moving(velocity, turn_rate)"
 )
 
 

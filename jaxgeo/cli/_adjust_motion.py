@@ -93,6 +93,10 @@ class MotionOptions(OptionGroup):
             _check_times(views, self.needs_speed[0])
         return views.moving(velocity, np.zeros(3), readout=self.readout or 0.0, atmosphere=air)
 
+    def searched(self, views: Views) -> Views:
+        """The views whose search areas have room for the time offset."""
+        return views.with_time_offset(self.time_offset_sigma or 0.0)
+
     def unknowns(self, given: Unknowns | None) -> Unknowns | None:
         """The unknowns with those of the options."""
         from jaxgeo.adjust import Prior, Unknowns

@@ -160,7 +160,7 @@ def adjust_command(
         )
         of_mosaic.check_cells(views, paths, terrain, crs, reading_dem.reach)
         kept = Kept(output / MATCHES, lambda row: stamp(paths[row]))
-        ties = _tied(views, terrain, paths, reading_dem, how, points, kept, _features(features))
+        ties = _tied(in_motion.searched(views), terrain, paths, reading_dem, how, points, kept, _features(features))
         if kept.reused:
             print_note(f"{kept.reused} of {len(ties.pairs)} pairs were read from {kept.folder}")
         found, written, more = None, [], {}

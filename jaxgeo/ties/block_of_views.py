@@ -12,6 +12,7 @@ from jaxgeo.sensor import Mount
 from jaxgeo.ties.shared import OF_SHOT
 from jaxgeo.ties.views import Views
 
+STRIP = "strip"  # name of the only one
 LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
 
 
@@ -49,7 +50,7 @@ def _navigation(views: Views) -> Navigation:
         information_position=information_of(position, LEAST_POSITION),
         information_attitude=information_of(attitude, LEAST_ATTITUDE),
         mount=views.camera,
-        strip=np.full(count, "strip"),
+        strip=np.full(count, STRIP),
         time=np.zeros(count),
         mounts={str(name): (Mount(eye, eye, zero, zero), False) for name in views.cameras},
         common=views.common,

@@ -17,7 +17,7 @@ from jaxgeo.ties.connections import of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control
 from jaxgeo.ties.control_residuals import ControlResiduals, mean_position_sigma, residuals_of, words_of
-from jaxgeo.ties.joined import mostly_left_out, solved
+from jaxgeo.ties.joined import mostly_left_out, solved, with_unknown_time_offset
 from jaxgeo.ties.map_control import MapControl
 from jaxgeo.ties.relative import RelativeOrientation, relative_orientations
 from jaxgeo.ties.shared import OF_MODE, OF_SHOT
@@ -210,26 +210,26 @@ def correct(
         check_is(map_control, MapControl, "map_control")
         _check_map_control(views)
     observations = ties.observations if isinstance(ties, Ties) else ties
-    ground = None
+    unknowns, ground = Unknowns() if unknowns is None else unknowns, None
+    late = with_unknown_time_offset(views, unknowns)
     if control is not None:
         check_is(control, Control, "control")
-        check_control(views, control)
+        check_control(late, control)
         observations, ground = _with_control(views, observations, control)
     if observations is None:
         raise ValueError(
             "no two images share a tie point; nothing can be adjusted. Check the navigation and the datum of its "
             "heights, or allow larger errors."
         )
-    unknowns = Unknowns() if unknowns is None else unknowns
     given = len(observations)
     observations = of_places(views, observations, ground)
-    block, final, joined = solved(views, observations, unknowns, terrain, ground)
+    block, final, joined = solved(views, observations, unknowns, terrain, ground, late)
     blunders: list[Blunder] = []
     if ground is not None:
         final, blunders = without_wrong_control(block, unknowns, terrain, final)
         if control is not None and final.kept.control.size:
             check_fit(views, control, final.excess.control, final.excess.ties)
-    of_ties = _correction(views, final, given, control, blunders)
+    of_ties = _correction(views, late, final, given, control, blunders)
     of_ties = replace(
         of_ties,
         contradicted=[name for name in joined if name not in of_ties.names],
@@ -240,7 +240,7 @@ def correct(
     chosen = with_control(final.found, Tied(block, unknowns, terrain, final.kept, final.excess), map_control)
     if chosen.adjustment is None:
         return replace(of_ties, refused=chosen.refused)
-    result = _correction(views, final._replace(found=chosen.adjustment), given, control, blunders)
+    result = _correction(views, late, final._replace(found=chosen.adjustment), given, control, blunders)
     named = {"contradicted": of_ties.contradicted, "mostly_left_out": of_ties.mostly_left_out}
     return replace(result, map_control=chosen.control, refused=chosen.refused, **named)
 
@@ -271,13 +271,16 @@ def _with_control(
     return marks if observations is None else ImagePoints.joined([observations, marks]), ground
 
 
-def _correction(views: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]) -> Correction:
+def _correction(
+    views: Views, late: Views, final: Final, given: int, control: Control | None, blunders: list[Blunder]
+) -> Correction:
+    """The results; `late` are the views with the errors of an unknown time offset."""
     found, excess = final.found, final.excess
     rows = _rows(views, [str(name) for name in found.images.name])
     moved = found.images.centre - views.centre[rows]
     turn = np.swapaxes(views.R_frame_from_camera[rows], 1, 2) @ found.images.R_frame_from_camera
     turned = _vectors(turn)
-    sigma = np.sqrt(np.diagonal(views.covariance[rows], axis1=1, axis2=2))
+    sigma = np.sqrt(np.diagonal(late.covariance[rows], axis1=1, axis2=2))
     sigma = np.maximum(sigma, np.repeat([LEAST_POSITION, LEAST_ATTITUDE], 3))
     names = {str(name) for name in found.images.name}
     return Correction(

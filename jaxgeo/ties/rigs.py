@@ -129,8 +129,8 @@ def check_together(
             if away[k] > FARTHEST + sigma or abs(away[k] - usual) > UNSTEADY + sigma:
                 raise ValueError(
                     f"images {names[one]} and {names[other]} are both of shot {shot[one]}, but their stated positions "
-                    f"are {away[k]:.3g} m apart, those of other shots of cameras {camera[one]} and {camera[other]} "
-                    f"{usual:.3g} m. Are images mixed up? Those of one shot are exposed at once, on one mount."
+                    f"are {away[k]:.3g} m apart{_of_others(away[k], usual, camera[one], camera[other])}. Are images "
+                    f"mixed up? Those of one shot are exposed at once, on one mount."
                 )
         known = (time[i] != 0.0) & (time[j] != 0.0) & np.isfinite(time[i] - time[j])
         apart = np.where(known, time[j] - time[i], np.nan)
@@ -144,6 +144,12 @@ def check_together(
                 f"{np.nanmedian(apart):.3g} s. Are images mixed up? Those of one shot are exposed at once, on one "
                 f"mount."
             )
+
+
+def _of_others(away: float, usual: float, one: str, other: str) -> str:
+    if abs(away - usual) <= UNSTEADY:
+        return ""
+    return f", those of other shots of cameras {one} and {other} {usual:.3g} m"
 
 
 def _pairs(shot: np.ndarray, camera: np.ndarray) -> dict[tuple[str, str], list[tuple[int, int]]]:

@@ -12,7 +12,7 @@ from jaxgeo.adjust import Adjustment, Block, Blunder, HeightObservations, LeastS
 from jaxgeo.adjust._reliability import reliability
 from jaxgeo.adjust.bundle import adjusted
 from jaxgeo.adjust.equations import known_points
-from jaxgeo.adjust.hypotheses import limit, of_image_points
+from jaxgeo.adjust.hypotheses import of_image_points
 from jaxgeo.adjust.kept import Kept, block_of, control_of, masked, set_aside
 from jaxgeo.adjust.measurements import image_residuals, in_view
 from jaxgeo.adjust.problem import Prepared, prepared
@@ -33,7 +33,9 @@ FIRST_EXCESS = 1.0
 ENOUGH = 0.1  # of it, or 0.01 px: change of the added standard deviation that ends the robust solutions
 ROUNDS = 10
 TAKEN_BACK = 3  # rounds in which measurements that were left out are taken back, once others are barred
-ALPHA = 1e-3  # of each test of a right measurement, where many are wrong
+LIMIT = 3.7  # of the statistic of a right measurement, where many are wrong: exceeded by chance in 1e-3
+MOST = 0.15  # of the measurements: if tests leave out more, their standard deviations are too small
+MEDIAN = 1.177  # of the statistic of right ones: the square root of 2 log 2
 WORST = 0.7  # of the largest statistic: smaller ones may be its consequences
 LEAST_CHECKED = 0.2  # redundancy of a point in two images: with less, its residual shows too little of its error
 MANY = 0.1  # of the measurements of an image: if more are left out, the solution may have followed wrong ones
@@ -131,12 +133,24 @@ def without_unchecked(
     A wrong measurement of a point in two images fits wherever the ray of the other image leads, often at another
     height, and turns the images so that it does: its own residual does not show it. Where many measurements are wrong,
     points in two images are kept only if their residual shows a large part of their error, and all measurements are
-    tested by their residuals over the standard deviations of these.
+    tested by their residuals over the standard deviations of these. Tests are by the standard deviations that the
+    robust solution needs; where they leave out too many, these are too small, and the tests are by the median of their
+    statistics.
     """
+    strict = _without_failing(block, unknowns, terrain, found, False)
+    kept = strict[0].kept
+    if kept.leaves_every_image(block) and np.sum(kept.rows) >= (1.0 - MOST) * np.sum(found.kept.rows):
+        return strict
+    return _without_failing(block, unknowns, terrain, found, True)
+
+
+def _without_failing(
+    block: Block, unknowns: Unknowns, terrain: HeightObservations | None, found: Robust, is_by_median: bool
+) -> tuple[Robust, Final]:
     first, barred = found.kept, np.zeros(len(block.observations), bool)
     while True:
         final = least_squares(block, unknowns, terrain, found)
-        new = _failing(block, final, found.excess) & ~_of_control(block)
+        new = _failing(block, final, None if is_by_median else found.excess) & ~_of_control(block)
         if not np.any(new):
             return found, final
         barred |= new
@@ -149,21 +163,28 @@ def without_unchecked(
             return found, final
 
 
-def _failing(block: Block, final: Final, excess: Excess) -> np.ndarray:
+def _failing(block: Block, final: Final, excess: Excess | None) -> np.ndarray:
     """Flags (k,) of kept measurements that fail their test, the worst of them and of each point only, and of the point
-    in two images whose redundancy is the lowest, if it is too low."""
-    less_sure, more_sure = final.excess.less_sure(block), excess.less_sure(block)
-    ratio = np.mean(less_sure.observations.sigma / more_sure.observations.sigma, axis=1)[final.kept.rows]
-    tests = of_image_points(final.found)
-    statistic = tests.statistic * ratio
+    in two images whose redundancy is the lowest, if it is too low.
+
+    Wrong measurements raise the standard deviation that least squares adds to all, and hide behind it: tests are by
+    that of the robust solution, `excess`, or by the median of the statistics. The former is too small where points are
+    hardly checked, as their residuals are.
+    """
+    statistic = of_image_points(final.found).statistic
+    if excess is None:
+        statistic = statistic / min(1.0, float(np.median(statistic[statistic > 0.0])) / MEDIAN)
+    else:
+        less_sure, more_sure = (one.less_sure(block).observations.sigma for one in (final.excess, excess))
+        statistic = statistic * np.mean(less_sure / more_sure, axis=1)[final.kept.rows]
     own = reliability(final.found).redundancy.sum(axis=1)
     names, point = final.found.block.observations.point_numbers
-    count, checked = np.bincount(point, minlength=len(names)), np.bincount(point, own, len(names))
+    rays, checked = np.bincount(point, minlength=len(names)), np.bincount(point, own, len(names))
     worst = np.zeros(len(names))
     np.maximum.at(worst, point, statistic)
-    fails = (statistic > max(limit(ALPHA), WORST * float(np.max(statistic)))) & (statistic >= 0.999 * worst[point])
+    fails = (statistic > max(LIMIT, WORST * float(np.max(statistic)))) & (statistic >= 0.999 * worst[point])
     flags = np.zeros(len(block.observations), bool)
-    checked = np.where(count == 2, checked, np.inf)
+    checked = np.where(rays == 2, checked, np.inf)
     unchecked = (checked < LEAST_CHECKED) & (checked == np.min(checked))  # one by one: points check each other
     flags[final.kept.rows] = fails | unchecked[point]
     return flags

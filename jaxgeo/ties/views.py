@@ -179,6 +179,20 @@ class Views:
             atmosphere=self.atmosphere if atmosphere is None else atmosphere,
         )
 
+    def with_time_offset(self, sigma: float) -> Views:
+        """A copy whose navigation also errs by a time offset of all images with a standard deviation in s: their
+        velocities and turn rates times the offset (zero where unknown), as an error that they share.
+
+        It widens search areas (`find_ties`). `correct` does so for an offset that is unknown with a prior, so that this
+        copy is not for it.
+        """
+        if self.velocity is None or sigma == 0.0:
+            return self
+        rates = [self.velocity, np.zeros_like(self.velocity) if self.turn_rate is None else self.turn_rate]
+        effect = sigma * np.nan_to_num(np.concatenate(rates, axis=1))
+        covariance = self.covariance + effect[:, :, None] * effect[:, None, :]
+        return replace(self, covariance=covariance, common={**self.common, "time offset": effect})
+
     def covariance_of_pair(self, first: int, second: int) -> np.ndarray:
         """Covariance (12, 12) of the navigation errors of two images."""
         between = sum((np.outer(one[first], one[second]) for one in self.common.values()), np.zeros((6, 6)))

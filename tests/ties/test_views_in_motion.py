@@ -18,7 +18,7 @@ from jaxgeo.adjust import ImagePoints, Prior, Unknowns
 from jaxgeo.cli import app
 from jaxgeo.io.acquisitions.velocities import read_velocities
 from jaxgeo.ties import MapControl, Views, correct
-from jaxgeo.ties.motion import runs_of
+from jaxgeo.ties.motion import motion_of, runs_of
 from tests.test_cli_locate import DJI
 
 READOUT, LATE = 0.3, 0.4  # s
@@ -93,6 +93,7 @@ def test_a_time_offset_is_found_with_control() -> None:
     (parameter,) = found.adjustment.parameters
     assert (parameter.whose, parameter.name, parameter.unit) == ("strip strip", "time offset", "s")
     assert abs(parameter.value - LATE) < 4.0 * parameter.sigma < 1.0
+    assert not found.doubtful  # moved by 5 m, as the offset allows, where the navigation errs by 2 m
 
 
 @pytest.mark.costly
@@ -106,14 +107,41 @@ def test_refraction_is_that_of_the_atmosphere() -> None:
     assert found.adjustment.refractions == {"1": 1.0}
 
 
+def test_velocities_by_differences_end_at_turns() -> None:
+    """Two strips to the north and back, 100 m apart, without a pause between them."""
+    step = np.array([[0.0, 15.0, 0.0]] * 4 + [[17.0, 5.0, 0.0]] + [[0.0, -15.0, 0.0]] * 4)
+    place = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
+    turns = np.broadcast_to(np.eye(3), (10, 3, 3))
+    velocity, _ = motion_of(place, turns, np.arange(10.0), np.full(10, "a"))
+    np.testing.assert_allclose(velocity, [[0.0, 15.0, 0.0]] * 5 + [[0.0, -15.0, 0.0]] * 5, atol=1e-12)
+    curve = np.stack([np.cos(0.3 * np.arange(10.0)), np.sin(0.3 * np.arange(10.0)), np.zeros(10)], axis=1)
+    velocity, _ = motion_of(50.0 * curve, turns, np.arange(10.0), np.full(10, "a"))
+    inner = np.stack([-curve[:, 1], curve[:, 0], np.zeros(10)], axis=1)[1:-1] * 15.0
+    np.testing.assert_allclose(velocity[1:-1], inner, atol=0.3)
+
+
+def test_a_time_offset_is_an_error_that_images_share() -> None:
+    views = surveyed(4).true.moving()
+    assert views.velocity is not None
+    assert views.turn_rate is not None
+    late = views.with_time_offset(0.2)
+    effect = 0.2 * np.concatenate([views.velocity, views.turn_rate], axis=1)
+    more = late.covariance_of_pair(0, 2) - views.covariance_of_pair(0, 2)
+    both = np.concatenate([effect[0], effect[2]])
+    np.testing.assert_allclose(more, np.outer(both, both), atol=1e-12)
+    assert views.with_time_offset(0.0) is views
+
+
 def test_velocities_by_differences_end_at_gaps() -> None:
     strip = surveyed(4)
     true = strip.true.moving()
     assert true.velocity is not None
     np.testing.assert_allclose(true.velocity, np.broadcast_to(VELOCITY, (COUNT, 3)), atol=0.05)
     time = np.array([0.0, 1.0, 2.0, 20.0, 21.0, 22.0])
-    assert runs_of(time, np.full(6, "a")).tolist() == [0, 0, 0, 1, 1, 1]
-    assert runs_of(np.repeat(time[:3], 2), np.array(["a", "b"] * 3)).tolist() == [0, 1, 0, 1, 0, 1]
+    north = np.outer(10.0 * time, [0.0, 1.0, 0.0])
+    assert runs_of(time, np.full(6, "a"), north).tolist() == [0, 0, 0, 1, 1, 1]
+    both = np.repeat(np.arange(3), 2)
+    assert runs_of(time[both], np.array(["a", "b"] * 3), north[both]).tolist() == [0, 1, 0, 1, 0, 1]
     kept = true.moving(readout=0.01)
     np.testing.assert_array_equal(kept.velocity, true.velocity)
     assert kept.readout == {"1": 0.01}

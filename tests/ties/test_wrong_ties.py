@@ -121,6 +121,18 @@ def test_no_wrong_pose_is_accepted(count: int, kind: str, share: float, seeds: t
         assert all(name in found.words() for name in found.contradicted)
 
 
+@pytest.mark.parametrize("freedom, seed", [(3, 2), (5, 3)])
+def test_right_measurements_that_are_less_precise_than_stated_are_kept(freedom: int, seed: int) -> None:
+    """Errors of lenses and heavy tails: Student's t with 0.3 px, where 0.1 px are stated."""
+    here = simulated(4, 0.6, "none", 0.0, seed)
+    observed = here.observations
+    more = 0.3 * np.random.default_rng(seed).standard_t(freedom, observed.uv.shape)
+    found = correct(here.given, replace(observed, uv=observed.uv + more))
+    assert len(found.names) == 4
+    assert found.left_out < 0.3 * len(observed)
+    assert not found.mostly_left_out
+
+
 def test_an_image_without_right_measurements_is_named() -> None:
     here = simulated(4, 0.7, "none", 0.0, 2)
     observed, rng = here.observations, np.random.default_rng(1)
