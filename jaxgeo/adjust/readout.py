@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxgeo.adjust.block import Block
     from jaxgeo.adjust.navigation import Navigation
 
+LONGEST = 10.0  # s
 NEEDED = (
     "give Navigation(velocity=, turn_rate=), Block.from_shots(velocity=, turn_rate=), a trajectory=, or strips "
     "whose images have different times; with Views, Views.moving(velocity, turn_rate)"
@@ -86,16 +87,18 @@ def _rotations(vectors: np.ndarray) -> np.ndarray:
 
 
 def checked_readout(given: Any, cameras: Mapping[str, Any]) -> dict[str, float]:
-    """Readouts in s by camera, from a number for all or a mapping. Raises `ValueError` for unknown cameras and numbers
-    that are not finite."""
+    """Readouts in s by camera, from a number for all or a mapping. Raises `ValueError` for unknown cameras, for what is
+    no number, and for readouts of more than `LONGEST`."""
     readout = dict(given) if isinstance(given, Mapping) else dict.fromkeys(cameras, given)
     unknown = [name for name in readout if name not in cameras]
     if unknown:
         raise ValueError(f"readout: there is no camera {unknown[0]!r}; known are {', '.join(cameras)}.")
     found = {}
     for name, value in readout.items():
-        number = np.asarray(value, np.float64)
-        if number.shape != () or not np.isfinite(number):
-            raise ValueError(f"readout of camera {name} must be a finite number, in s; got {value!r}.")
+        number = np.asarray(value)
+        if number.shape != () or number.dtype.kind not in "fiu" or not abs(number) <= LONGEST:
+            raise ValueError(
+                f"readout of camera {name} must be a number up to {LONGEST:g}, in s (0.03 is 30 ms); got {value!r}."
+            )
         found[name] = float(number)
     return found

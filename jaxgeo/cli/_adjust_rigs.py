@@ -148,9 +148,9 @@ class RigOptions(OptionGroup):
             found = Groups(shot, None, _by_lens(camera, given), "--shots-by name")
             if not found.is_rig:
                 raise UserError(
-                    f"--shots-by name: no two of {len(paths)} images have names that are alike but for their last "
-                    f"part, such as DJI_0042_T.JPG and DJI_0042_W.JPG; the first is {paths[0].name}. Group them by "
-                    f"their times: --shots-by 0.2s."
+                    f"--shots-by name: no two of {len(paths)} images in one folder have names that are alike but for "
+                    f"their last part, such as DJI_0042_T.JPG and DJI_0042_W.JPG; the first is {paths[0].name}. Put "
+                    f"the images of all cameras into one folder, or group them by their times: --shots-by 0.2s."
                 )
             return found
         named = np.array(stated["camera"]) if "camera" in stated else None

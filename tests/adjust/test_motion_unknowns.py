@@ -256,8 +256,9 @@ def test_what_is_missing_is_named() -> None:
         prepared(replace(of.block(), navigation=None), Unknowns(time_offset=Free()))
     with pytest.raises(ValueError, match="there is no camera 'other'; known are camera"):
         replace(of.block(), readout={"other": 0.01})
-    with pytest.raises(ValueError, match="must be a finite number, in s"):
-        replace(of.block(), readout=np.nan)
+    for wrong in (np.nan, np.inf, 30.0, "0.03", True, [0.01]):
+        with pytest.raises(ValueError, match=r"must be a number up to 10, in s \(0\.03 is 30 ms\)"):
+            replace(of.block(), readout=wrong)
     with pytest.raises(ValueError, match=r"velocity must be \(3,\) or \(15, 3\).*m/s"):
         of.block(velocity=np.zeros((4, 3)))
     with pytest.raises(ValueError, match="Give navigation or control"):

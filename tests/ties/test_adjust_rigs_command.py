@@ -104,7 +104,7 @@ def test_groups_that_are_none_are_refused(here: ImageFolder, tmp_path: pathlib.P
     for name in here.names[::2]:
         shutil.copy(here.images / name, wide)
     for options, words in (
-        (("--shots-by", "name"), "no two of 3 images have names that are alike but for their last part"),
+        (("--shots-by", "name"), "no two of 3 images in one folder have names that are alike but for their last part"),
         (("--shots-by", "0.5s"), "no two images of different cameras are taken within this time; there are 1 camera"),
         (("--mounting-sigma", "0.5"), "--mounting-sigma 0.5 is for shots of several cameras; give --shots-by too"),
     ):
