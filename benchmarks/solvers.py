@@ -292,7 +292,7 @@ def boresight(repeats: int) -> list[Table]:
     assert matrix.diagonal.shape[0] == 1
     assert ready.problem.of_image == 6
     root = jnp.linalg.cholesky(matrix.diagonal[0]).T
-    observed = observed_of(block, ready.names)
+    observed = observed_of(block, ready.names, np.zeros((len(ready.names.strip), 0)))
     images = (observed, values.centre, values.R_frame_from_camera, values.strip[ready.problem.strip_of])
     lever = values.lever[0]
 
