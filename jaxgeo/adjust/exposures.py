@@ -12,7 +12,7 @@ from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.records import as_names
 
-LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: what images of one exposure still have alone
+LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of standard deviations of each image
 FARTHEST = 5.0  # m: observed positions of one exposure that are farther apart are of several exposures
 AXES = ("east", "north", "up", "x", "y", "z")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import pathlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from jaxgeo.adjust import Unknowns
     from jaxgeo.ties import Views
 
-LONGEST = 10.0  # s: readout
 ENOUGH = 50.0  # times the resolution: least interval whose speed is known well enough
 TURNS = "The cameras are taken not to turn while they expose: no file says how they do."
 BY_TAGS = "Speeds are those of the images' tags (FlightXSpeed, FlightYSpeed, FlightZSpeed: north, east, down)."
@@ -66,10 +64,8 @@ class MotionOptions(OptionGroup):
         for name, value in (("--time-offset-sigma", self.time_offset_sigma), ("--readout-sigma", self.readout_sigma)):
             if value is not None and not checked_sigma(name, value) > 0.0:
                 raise UserError(f"{name} {value:g}: give a sigma above zero, or leave the option out.")
-        if self.readout is not None and not (math.isfinite(self.readout) and abs(self.readout) <= LONGEST):
-            raise UserError(
-                f"--readout {self.readout:g}: give the readout time in s, up to {LONGEST:g}: 0.03 is 30 ms."
-            )
+        if self.readout is not None:
+            _check_readout(self.readout)
         if reference is not None:
             given = [name for name in self.needs_speed if name != "--time-offset-sigma"]
             given += ["--refraction"] if self.refraction else []
@@ -104,6 +100,13 @@ class MotionOptions(OptionGroup):
         more = {"time_offset": self.time_offset_sigma, "readout": self.readout_sigma}
         chosen = {name: Prior(sigma) for name, sigma in more.items() if sigma is not None}
         return dataclasses.replace(given or Unknowns(), **chosen) if chosen else given
+
+
+def _check_readout(seconds: float) -> None:
+    from jaxgeo.adjust.readout import LONGEST
+
+    if not abs(seconds) <= LONGEST:
+        raise UserError(f"--readout {seconds:g}: give the readout time in s, up to {LONGEST:g}: 0.03 is 30 ms.")
 
 
 def _by_tags(views: Views, paths: Sequence[pathlib.Path]) -> np.ndarray | None:

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._common import UserError
+from jaxgeo.cli._common import UserError, counted
 from jaxgeo.cli._errors import checked_sigma
 from jaxgeo.cli._options import OptionGroup
 
@@ -60,11 +60,11 @@ class Groups:
             _, sizes = np.unique(self.shot, return_counts=True)
             alone = int(np.count_nonzero(sizes == 1))
             parts.append(
-                f"{_counted(len(sizes), 'shot')} of {_counted(len(names), 'camera')} ({each})"
+                f"{counted(len(sizes), 'shot')} of {counted(len(names), 'camera')} ({each})"
                 + (f", {alone} of one image" if alone else "")
             )
         if self.flight is not None:
-            parts.append(_counted(len(np.unique(self.flight)), "flight"))
+            parts.append(counted(len(np.unique(self.flight)), "flight"))
         return "; ".join(parts)
 
 
@@ -166,7 +166,7 @@ class RigOptions(OptionGroup):
         if not found.is_rig:
             raise UserError(
                 f"--shots-by {self.shots_by}: no two images of different cameras are taken within this time; there are "
-                f"{_counted(len(np.unique(camera)), 'camera')}. Give a longer time, or --shots-by name."
+                f"{counted(len(np.unique(camera)), 'camera')}. Give a longer time, or --shots-by name."
             )
         return found
 
@@ -237,10 +237,6 @@ def rows_of_cameras(found: Correction) -> list[dict[str, Any]]:
     ]
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
-
-
 def _seconds(option: str, text: str, expected: str) -> float:
     """A time with its unit, in s. Raises `UserError`."""
     parts = re.fullmatch(r"\s*([-+.\deE]+?)\s*(s|min|h)\s*", text)
@@ -295,7 +291,7 @@ def _cameras(given: list[Exposure], paths: Sequence[pathlib.Path], group: np.nda
 
 
 def _by_lens(camera: np.ndarray, given: list[Exposure]) -> np.ndarray:
-    """Names of cameras, told apart where one of them has several focal lengths or lenses, as a zoom has."""
+    """Names of cameras, one for each focal length or lens where a camera has several, as a zoom has."""
     from jaxgeo.ties.cameras import cameras_of
 
     lens, _ = cameras_of(given, by_sensor=False)

@@ -101,3 +101,8 @@ def check_writable(folder: pathlib.Path) -> None:
         raise UserError(f"--output {folder}: {nearest} is a file; name another folder.")
     if not os.access(nearest, os.W_OK):
         raise UserError(f"--output {folder}: not writable; name another folder.")
+
+
+def counted(count: int, noun: str) -> str:
+    """A count and its noun, in the plural unless it is one."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"

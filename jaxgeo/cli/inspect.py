@@ -15,7 +15,7 @@ import jaxgeo
 from jaxgeo._destination import check_place, destination
 from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
-from jaxgeo.cli._common import FAULT, Debug, UserError, name_says, report_errors
+from jaxgeo.cli._common import FAULT, Debug, UserError, counted, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposure_tables import centre_pixels, rows_of, tags_of
 from jaxgeo.cli._inputs import check_no_overwrite
@@ -215,7 +215,7 @@ def _show(
     count, unread = len(rows), len(found.unread)
     for number, part in enumerate(found.parts):
         title = f"[bold]{escape(_named(files, found))}[/bold]: " if not number else ""
-        console.print(f"{title}{part.form}, {_counted(len(part), 'exposure')}")
+        console.print(f"{title}{part.form}, {counted(len(part), 'exposure')}")
         for name, value in part.facts.items():
             console.print(f"  {name}: {value}", markup=False)
         console.print(_sensor_line(part), markup=False)
@@ -228,7 +228,7 @@ def _show(
     if count > SHOWN:
         console.print(f"  ... and {count - SHOWN} more; --json and --output list all", markup=False)
     if unread:
-        console.print(f"  {_counted(unread, 'file')} could not be read; --json lists the reasons", markup=False)
+        console.print(f"  {counted(unread, 'file')} could not be read; --json lists the reasons", markup=False)
     if "range_off_m" in rows[0]:
         console.print(_comparison(rows), markup=False)
     if unstated is not None:
@@ -238,10 +238,6 @@ def _show(
         console.print("assumed:")
         for one in found.assumed:
             console.print(f"  - {as_typed(one)}", markup=False)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' if count != 1 else ''}"
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:

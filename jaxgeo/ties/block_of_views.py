@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxgeo.adjust import Block, GroundPoints, ImagePoints, Images, Navigation
+from jaxgeo.adjust.exposures import LEAST_ATTITUDE, LEAST_POSITION
 from jaxgeo.adjust.kept import Kept, control_of
 from jaxgeo.sensor import Mount
 from jaxgeo.ties.shared import OF_SHOT
 from jaxgeo.ties.views import Views
 
 STRIP = "strip"  # name of the only one
-LEAST_POSITION, LEAST_ATTITUDE = 1e-4, 1e-6  # m, rad: lower bounds of the navigation's standard deviations
 
 
 def block_of_views(views: Views, observations: ImagePoints, ground: GroundPoints | None = None) -> Block:

@@ -1,4 +1,4 @@
-"""Which images of a block hang together, by tie points, control points and shots, and which points have a place."""
+"""Images of a block that tie points, control points and shots connect, and the points that have a place."""
 
 from __future__ import annotations
 

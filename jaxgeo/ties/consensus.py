@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.adjust import Block
+from jaxgeo.adjust.exposures import LEAST_ATTITUDE, LEAST_POSITION
 from jaxgeo.adjust.kept import Kept, control_of
 from jaxgeo.adjust.problem import Prepared
 from jaxgeo.adjust.ray_consensus import Rays, turns
 from jaxgeo.adjust.tie_start import adjusted_start
 from jaxgeo.adjust.values import Values
-from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION
 from jaxgeo.ties.epipolar import coplanarity
 from jaxgeo.ties.pair_consensus import agreement
 from jaxgeo.ties.views import Views

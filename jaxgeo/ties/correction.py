@@ -9,10 +9,11 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo.adjust import Adjustment, Blunder, GroundPoints, HeightObservations, ImagePoints, Unknowns
+from jaxgeo.adjust.exposures import LEAST_ATTITUDE, LEAST_POSITION
 from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.adjust.ray_effects import READOUT, REFRACTION
 from jaxgeo.ties.block import Ties
-from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, block_of_views
+from jaxgeo.ties.block_of_views import block_of_views
 from jaxgeo.ties.connections import of_places
 from jaxgeo.ties.control import Control, check_control, check_fit
 from jaxgeo.ties.control_choice import Tied, with_control

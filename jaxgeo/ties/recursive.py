@@ -11,11 +11,12 @@ import numpy as np
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.adjust import ImagePoints, LocalFrame
 from jaxgeo.adjust.block import frame_at
+from jaxgeo.adjust.exposures import LEAST_ATTITUDE, LEAST_POSITION
 from jaxgeo.observation import Exposure
 from jaxgeo.register.registration import Registration
 from jaxgeo.sensor import FrameCamera, Shot
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.ties.block_of_views import LEAST_ATTITUDE, LEAST_POSITION, information_of
+from jaxgeo.ties.block_of_views import information_of
 from jaxgeo.ties.cameras import are_equal
 from jaxgeo.ties.control_choice import CONTRADICTS, IMPROBABLE, UNCLEAR, chance
 from jaxgeo.ties.drift import Drifting, drifting

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxgeo.adjust.exposures import FARTHEST
 from jaxgeo.earth import WGS84
 from jaxgeo.observation import Exposure
 from jaxgeo.sensor import Shot
@@ -15,7 +16,6 @@ from jaxgeo.uncertainty.sources.base import AbstractSource
 
 OF_CAMERA = (sources.CameraMounting, sources.LeverArm)  # one number for each camera
 OF_MOUNT = (sources.Boresight, sources.GimbalMounting, sources.GimbalAngles)  # one for all cameras of a gimbal head
-FARTHEST = 5.0  # m: stated positions of one exposure that are farther apart are of several exposures
 UNSTEADY = 1.0  # m: by which the distance of two cameras may change from shot to shot
 OF_CLOCKS = 1.5  # s: by which their times may, as clocks of whole seconds do
 SIGMAS = 4.0  # standard deviations of the stated errors, in addition

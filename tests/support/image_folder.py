@@ -81,14 +81,19 @@ def texture_of(seed: int) -> Orthoimage:
     return Orthoimage.of(128.0 + 22.0 * sum(one / np.std(one) for one in parts), grid)
 
 
-def write_folder(root: pathlib.Path, count: int = 4, seed: int = 0) -> ImageFolder:
-    """Images of a strip to the north over hills; the last one shows noise."""
-    rng = np.random.default_rng(seed)
+def hills(root: pathlib.Path, seed: int) -> pathlib.Path:
+    """File of an elevation model."""
     posts = 500.0 + fractal_posts(POSTS, spacing=SPACING, relief=RELIEF, exponent=4.0, seed=seed + 1)
     step = np.array([SPACING / 76_060.0, SPACING / 111_180.0])  # deg of longitude and latitude at 47 deg
     corner = np.array([LON, LAT]) + 0.5 * POSTS * step * [-1.0, 1.0]
     affine = Affine(step[0], 0.0, corner[0], 0.0, -step[1], corner[1])
-    dem = write(root / "dem.tif", posts.astype(np.float32), affine=affine)
+    return write(root / "dem.tif", posts.astype(np.float32), affine=affine)
+
+
+def write_folder(root: pathlib.Path, count: int = 4, seed: int = 0) -> ImageFolder:
+    """Images of a strip to the north over hills; the last one shows noise."""
+    rng = np.random.default_rng(seed)
+    dem = hills(root, seed)
     terrain = read_dem(dem, vertical_datum="ellipsoid")
     names = [f"image_{k}.jpg" for k in range(count)]
     poses = np.array(

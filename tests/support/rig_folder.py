@@ -5,12 +5,10 @@ from __future__ import annotations
 import pathlib
 
 import numpy as np
-from rasterio.transform import Affine
 
 from jaxgeo import Exposure
 from jaxgeo.io import read_dem, read_observations
 from jaxgeo.ortho import render
-from support.fractal import fractal_posts
 from support.image_folder import (
     ABOVE,
     APART,
@@ -19,16 +17,13 @@ from support.image_folder import (
     LAT,
     LON,
     METRES,
-    POSTS,
-    RELIEF,
     SIZE,
-    SPACING,
     ImageFolder,
+    hills,
     made,
     texture_of,
     written,
 )
-from support.rasters import write
 
 INFRARED, SMALLER = 200.0, (208, 160)  # px: its focal length, width and height
 OFF = np.array([0.0, 0.0, 0.0, 0.5, 1.0, 0.0])  # deg: yaw and pitch of the infrared camera against the stated angles
@@ -37,11 +32,7 @@ OFF = np.array([0.0, 0.0, 0.0, 0.5, 1.0, 0.0])  # deg: yaw and pitch of the infr
 def write_rig_folder(root: pathlib.Path, shots: int = 3, seed: int = 0) -> ImageFolder:
     """Images DJI_0000_W.jpg, DJI_0000_T.jpg and so on of a strip to the north over hills, a second between shots."""
     rng = np.random.default_rng(seed)
-    posts = 500.0 + fractal_posts(POSTS, spacing=SPACING, relief=RELIEF, exponent=4.0, seed=seed + 1)
-    step = np.array([SPACING / 76_060.0, SPACING / 111_180.0])  # deg of longitude and latitude at 47 deg
-    corner = np.array([LON, LAT]) + 0.5 * POSTS * step * [-1.0, 1.0]
-    affine = Affine(step[0], 0.0, corner[0], 0.0, -step[1], corner[1])
-    dem = write(root / "dem.tif", posts.astype(np.float32), affine=affine)
+    dem = hills(root, seed)
     terrain = read_dem(dem, vertical_datum="ellipsoid")
     texture, names, true = texture_of(seed), [], []
     for k in range(shots):

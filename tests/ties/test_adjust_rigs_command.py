@@ -114,7 +114,7 @@ def test_groups_that_are_none_are_refused(here: ImageFolder, tmp_path: pathlib.P
 
 @pytest.mark.costly
 def test_columns_of_a_table_name_shots_flights_and_cameras(here: ImageFolder, tmp_path: pathlib.Path) -> None:
-    """Cameras that are equal are told apart by their column; what contradicts is refused by its name."""
+    """Cameras that are equal differ by their column; what contradicts is refused by its name."""
     header = "image,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg,Shot,flight,camera"
     rows = [
         [name, f"{47.0 + 3e-4 * (k // 2)}", "11.0,680,0,0,0", f"{7 + k // 2}", f"{k // 4}", "ab"[k % 2]]
